@@ -193,7 +193,7 @@ class DrakePlant:
                 )
             )
             bodies.append(body)
-        return bodies[arm.tip_joint], tip_frame(self.system, name)
+        return bodies[arm.tip.joint], tip_frame(self.system, name)
 
     def _drive(self, builder: Any, drive: Sinusoid) -> None:
         """Connect the torques: Drake's own sines."""

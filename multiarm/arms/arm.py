@@ -30,15 +30,16 @@ from multiarm.scene.mjcf import mjcf_model
 
 @dataclass(frozen=True)
 class ArmFiles:
-    """URDFs of an arm and its tool, folders of their meshes, mounting and locked joints.
+    """URDFs of a robot and its tool, folders of their meshes, mounting, tips and locked joints.
 
-    ``tool_urdf`` is a path, or the text of a URDF; with ``mjcf`` the arm's file is MuJoCo's.
+    ``tips`` are links by their names, "" for the only tip of an arm.  ``tool_urdf`` is a path, or
+    the text of a URDF; with ``mjcf`` the robot's file is MuJoCo's.
     """
 
     urdf: Path
     package_dirs: tuple[Path, ...]
     base: np.ndarray
-    tip: str
+    tips: dict[str, str]
     locked: dict[str, float]
     tool_urdf: Path | str | None = None
     tool_package_dirs: tuple[Path, ...] = ()
@@ -47,8 +48,33 @@ class ArmFiles:
     mjcf: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class ArmTip:
+    """A frame on a link of a robot that takes part in connections.
+
+    Attributes
+    ----------
+    frame_id, joint : int
+        Pinocchio's numbers of the frame, and of the joint that carries it (0: the base).
+    rotation, translation : ndarray, shapes (3, 3) and (3,)
+        The frame in that joint's frame; of a link of the base, in the world.
+    chain : int64 ndarray
+        The robot's joints that move it, counted from 0, from base to tip.
+    """
+
+    frame_id: int
+    joint: int
+    rotation: np.ndarray
+    translation: np.ndarray
+    chain: np.ndarray
+
+
+AT_REST = ArmTip(0, 0, np.eye(3), np.zeros(3), np.zeros(0, dtype=np.int64))
+"""The frame of the object or the world as a first body."""
+
+
 class Arm:
-    """One serial arm, base fixed in the world.
+    """One robot: a tree of links on a base fixed in the world, with one tip (an arm) or several.
 
     Attributes
     ----------
@@ -57,13 +83,12 @@ class Arm:
         Tool appended, locked joints removed, base placed; joints keep their URDF names.  Its
         ``armature`` is the inertia of the drives reflected to the joints, part of M.
     joint_names : tuple of str
-        Movable joints from base to tip; all joint vectors are in this order, one number a joint
-        (an angle in rad also for continuous joints, metres for prismatic ones).
+        Movable joints, each after those before it on its way from the base; all joint vectors are
+        in this order, one number a joint (an angle in rad also for continuous joints, metres for
+        prismatic ones).
     joint_units : dict joint -> "rad" or "m"
-    tip_joint : int
-        Pinocchio's number of the joint that carries the tip.
-    tip_rotation, tip_translation : ndarray, shapes (3, 3) and (3,)
-        The tip frame in that joint's frame.
+    tips : dict of str to ArmTip
+        By name; that of an arm is "".
     position_limits : ndarray, shape (n, 2)
         From the URDF; infinite for continuous joints.
     effort_limits, velocity_limits : ndarray, shape (n,)
@@ -102,12 +127,7 @@ class Arm:
             joint: "m" if slides else "rad"
             for joint, slides in zip(self.joint_names, prismatic, strict=True)
         }
-        tip = _frame_id(self.model, files.tip, name)
-        frame = self.model.frames[tip]
-        self.tip_frame_id = tip
-        self.tip_joint = frame.parentJoint
-        self.tip_rotation = frame.placement.rotation.copy()
-        self.tip_translation = frame.placement.translation.copy()
+        self.tips = {tip: self._make_tip(link) for tip, link in files.tips.items()}
         q_first = np.array([j.idx_q for j in self.model.joints[1:]], dtype=int)
         lower = self.model.lowerPositionLimit[q_first]
         upper = self.model.upperPositionLimit[q_first]
@@ -119,7 +139,26 @@ class Arm:
         self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
 
     def __repr__(self) -> str:
-        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {self.files.tip!r})"
+        tips = ", ".join(map(repr, self.files.tips.values()))
+        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {tips})"
+
+    def _make_tip(self, link: str) -> ArmTip:
+        frame_id = _frame_id(self.model, link, self.name)
+        frame = self.model.frames[frame_id]
+        chain = [joint - 1 for joint in self.model.supports[frame.parentJoint] if joint > 0]
+        return ArmTip(
+            frame_id=frame_id,
+            joint=frame.parentJoint,
+            rotation=frame.placement.rotation.copy(),
+            translation=frame.placement.translation.copy(),
+            chain=np.array(chain, dtype=np.int64),
+        )
+
+    @property
+    def tip(self) -> ArmTip:
+        """The tip of an arm."""
+        (tip,) = self.tips.values()
+        return tip
 
     def configuration(self, angles: np.ndarray) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
@@ -129,18 +168,23 @@ class Arm:
             parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
         return np.array(parts)
 
-    def levers(self, place: np.ndarray) -> np.ndarray:
-        """Longest lever arm of each joint on the contacts, shape (n,) [m]; 1 for prismatic ones.
+    def levers(self, place: np.ndarray, tip: str = "") -> np.ndarray:
+        """Longest lever arm of each joint on contacts at a tip, shape (n,) [m].
 
         The length of the chain from the joint to the contacts at ``place`` (3,) in the tip's frame
-        [m], and no less than a tenth of the longest.
+        [m], and no less than a tenth of the longest; 1 for prismatic joints, and for those that do
+        not move the tip.
         """
-        ends = [X.translation for X in self.model.jointPlacements.tolist()[2:]]
-        ends.append(self.tip_translation + self.tip_rotation @ place)
-        chain = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
-        chain = np.maximum(chain, 0.1 * chain[0]) if chain[0] > 0.0 else np.ones(self.dof)
+        end, levers = self.tips[tip], np.ones(self.dof)
+        if not end.chain.size:
+            return levers
+        ends = [self.model.jointPlacements[int(k) + 1].translation for k in end.chain[1:]]
+        ends.append(end.translation + end.rotation @ place)
+        lengths = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
+        if lengths[0] > 0.0:
+            levers[end.chain] = np.maximum(lengths, 0.1 * lengths[0])
         slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
-        return np.where(slides, 1.0, chain)
+        return np.where(slides, 1.0, levers)
 
     def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
         """Joint that carries a link; the link's rotation and origin [m] in its frame."""
@@ -151,7 +195,7 @@ class Arm:
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
-    def terms(self, angles: np.ndarray, velocity: np.ndarray) -> ArmTerms:
+    def terms(self, angles: np.ndarray, velocity: np.ndarray, tip: str = "") -> ArmTerms:
         """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
         q, v = self.configuration(angles), np.array(velocity, dtype=float)
         model, data = self.model, self.model.createData()
@@ -159,31 +203,33 @@ class Arm:
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         bias = pin.nonLinearEffects(model, data, q, v).copy()
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-        tip, axes = self._tip(data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        drift = pin.getFrameClassicalAcceleration(model, data, self.tip_frame_id, axes)
+        motion, axes = self._motion_of(tip, data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        drift = pin.getFrameClassicalAcceleration(model, data, self.tips[tip].frame_id, axes)
         return ArmTerms(
             M=inertia,
             bias=bias,
-            J=tip.jacobian,
-            tip_position=tip.position,
-            tip_rotation=tip.rotation,
-            tip_twist=tip.twist,
+            J=motion.jacobian,
+            tip_position=motion.position,
+            tip_rotation=motion.rotation,
+            tip_twist=motion.twist,
             drift=drift.vector.copy(),
         )
 
-    def tip_kinematics(self, angles: np.ndarray, velocity: np.ndarray) -> TipKinematics:
-        """Motion of the tip at joint positions [rad or m] and velocities, (n,)."""
+    def tip_kinematics(
+        self, angles: np.ndarray, velocity: np.ndarray, tip: str = ""
+    ) -> TipKinematics:
+        """Motion of a tip at joint positions [rad or m] and velocities, (n,)."""
         q, data = self.configuration(angles), self.model.createData()
         pin.forwardKinematics(self.model, data, q, np.array(velocity, dtype=float))
-        return self._tip(data, q)
+        return self._motion_of(tip, data, q)
 
-    def _tip(self, data: pin.Data, q: np.ndarray) -> TipKinematics:
-        """Motion of the tip, where ``data`` has that of the joints at ``q``."""
-        model, tip = self.model, self.tip_frame_id
+    def _motion_of(self, tip: str, data: pin.Data, q: np.ndarray) -> TipKinematics:
+        """Motion of a tip, where ``data`` has that of the joints at ``q``."""
+        model, frame = self.model, self.tips[tip].frame_id
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        pose = pin.updateFramePlacement(model, data, tip)
-        twist = pin.getFrameVelocity(model, data, tip, axes).vector
-        jacobian = pin.computeFrameJacobian(model, data, q, tip, axes)
+        pose = pin.updateFramePlacement(model, data, frame)
+        twist = pin.getFrameVelocity(model, data, frame, axes).vector
+        jacobian = pin.computeFrameJacobian(model, data, q, frame, axes)
         return TipKinematics(
             position=pose.translation.copy(),
             rotation=pose.rotation.copy(),
@@ -192,15 +238,16 @@ class Arm:
             joint_names=self.joint_names,
         )
 
-    def tip_pose(self, angles: np.ndarray) -> np.ndarray:
-        """Homogeneous pose ``X_WT``, shape (4, 4), of the tip in the world."""
-        return self._frames(angles).oMf[self.tip_frame_id].homogeneous.copy()
+    def tip_pose(self, angles: np.ndarray, tip: str = "") -> np.ndarray:
+        """Homogeneous pose ``X_WT``, shape (4, 4), of a tip in the world."""
+        return self._frames(angles).oMf[self.tips[tip].frame_id].homogeneous.copy()
 
     def skeleton(self, angles: np.ndarray) -> np.ndarray:
-        """Origins of all joints and of the tip in the world, shape (n + 1, 3) [m]."""
+        """Origins of all n joints and of the t tips in the world, shape (n + t, 3) [m]."""
         data = self._frames(angles)
         joints = [data.oMi[k].translation for k in range(1, self.model.njoints)]
-        return np.array([*joints, data.oMf[self.tip_frame_id].translation])
+        tips = [data.oMf[tip.frame_id].translation for tip in self.tips.values()]
+        return np.array([*joints, *tips])
 
     def _frames(self, angles: np.ndarray) -> pin.Data:
         """Poses of all joints and frames."""
@@ -233,7 +280,7 @@ class Arm:
             raise ModelError(f"{names} turns and slides at once")
         if list(model.parents[1:]) != list(range(model.njoints - 1)):
             raise ModelError("it has branches")
-        if self.tip_joint != model.njoints - 1:
+        if self.tip.joint != model.njoints - 1:
             raise ModelError("joints follow after its tip")
         return ArmStructure(
             slides=slides,
@@ -266,7 +313,7 @@ class Arm:
         for angle, rate in zip(angles, rates, strict=True):
             q = self.configuration(angle)
             coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
-            terms.append(_link_terms(model, data[0], q, rate, self.tip_joint, coriolis))
+            terms.append(_link_terms(model, data[0], q, rate, self.tip.joint, coriolis))
         return terms
 
     def visual_model(self) -> pin.GeometryModel:

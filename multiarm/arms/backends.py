@@ -29,13 +29,13 @@ from multiarm.arms.terms import (
     ArmState,
     Coriolis,
     CoriolisCalls,
-    LinkPose,
+    LinkAddresses,
     MatrixAddress,
     TermAddresses,
 )
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import PythonCallback
-from multiarm.jit.rows import as_row, fields_of, width
+from multiarm.jit.rows import fields_of, width
 
 # More arms in a model mean fewer calls, but a larger and mostly empty inertia matrix: the cost per
 # arm is flat around eight.
@@ -60,8 +60,12 @@ class ArmBackends:
         ``"compiled"`` or ``"pinocchio"``.
     reasons : dict of str to str
         Why an arm stays with Pinocchio although ``compiled`` is set.
-    pointers : int64 ndarray, shape (arms, 8)
-        The table of :mod:`multiarm.arms.terms`; valid while this lives.
+    links : tuple of (int, int)
+        The links that carry tips: robot and Pinocchio's number of the joint that moves them.
+    pointers : int64 ndarray, shape (arms, 5)
+        Every :class:`multiarm.arms.terms.TermAddresses`; valid while this lives.
+    link_pointers : int64 ndarray, shape (links, 3)
+        Every :class:`multiarm.arms.terms.LinkAddresses`; valid while this lives.
     q_slots : int64 ndarray, shape (joints,)
         Index of each joint in Pinocchio's configuration; -1 for those of compiled arms.
     configuration : int
@@ -80,6 +84,11 @@ class ArmBackends:
         self._coriolis: tuple[Coriolis, PythonCallback | None] | None = None
         self.reasons: dict[str, str] = {}
         self.by_arm = dict.fromkeys(arms, "pinocchio")
+        self.links = tuple(
+            (robot, joint)
+            for robot, arm in enumerate(arms.values())
+            for joint in dict.fromkeys(tip.joint for tip in arm.tips.values())
+        )
         if compiled:
             self._compiled, self.reasons = compile_arms(arms, gravity)
         for name, reason in self.reasons.items():
@@ -100,7 +109,7 @@ class ArmBackends:
             self._groups.append(group)
             self.q_slots[group.joints] = group.q_slots + self.configuration
             self.configuration += group.model.nq
-        self.pointers = self._table()
+        self._fill_tables()
 
     def copy(self) -> ArmBackends:
         """The same arms with their own terms; models and tables are shared."""
@@ -108,7 +117,7 @@ class ArmBackends:
         twin._compiled = None if self._compiled is None else self._compiled.copy()
         twin._groups = [group.copy() for group in self._groups]
         twin._coriolis = None
-        twin.pointers = twin._table()
+        twin._fill_tables()
         return twin
 
     def connect(
@@ -161,7 +170,7 @@ class ArmBackends:
         """Address of the pose of a joint of an arm (0: the world): rotation by columns, origin."""
         if self._compiled is not None and arm in self._compiled.places:
             return self._compiled.pose_address(arm, joint)
-        group = next(group for group in reversed(self._groups) if group.place <= arm)
+        group = self._group_of(arm)
         return group.pose_address(arm - group.place, joint)
 
     def _energy_update(self, status: Any) -> Callable[[], None]:
@@ -171,36 +180,36 @@ class ArmBackends:
 
         return update
 
-    def _table(self) -> np.ndarray:
+    def _fill_tables(self) -> None:
         pointers = np.zeros((len(self.by_arm), ADDRESSES), dtype=np.int64)
         if self._compiled is not None:
             pointers[list(self._compiled.places)] = self._compiled.pointers
         for group in self._groups:
             pointers[group.place : group.place + len(group.pointers)] = group.pointers
-        return pointers
+        self.pointers = pointers
+        addresses = [self._link_addresses(*link) for link in self.links]
+        self.link_pointers = np.array(addresses, dtype=np.int64)
+
+    def _link_addresses(self, arm: int, joint: int) -> LinkAddresses:
+        if self._compiled is not None and arm in self._compiled.places:
+            return LinkAddresses()
+        group = self._group_of(arm)
+        return group.link_addresses(arm - group.place, joint)
+
+    def _group_of(self, arm: int) -> ArmGroup:
+        return next(group for group in reversed(self._groups) if group.place <= arm)
 
 
 class Ground:
-    """The surroundings as an arm without joints: a body at rest at the world's origin.
+    """The surroundings as a robot without joints.
 
-    ``pointers`` (8,) are as those of a backend; valid while this lives.
+    ``pointers`` (5,) are as those of a backend; valid while this lives.
     """
 
-    def __init__(self, gravity: np.ndarray):
-        pose = as_row(LinkPose(np.eye(3), np.zeros(3)))
-        still, drift = np.zeros(6), np.concatenate([-gravity, np.zeros(3)])
-        self._kept = pose, still, drift
-        nothing = _address(still)
-        addresses = TermAddresses(
-            inertia=nothing,
-            stride=1,
-            jacobian=nothing,
-            bias=nothing,
-            gravity_torque=nothing,
-            pose=_address(pose),
-            twist=_address(still),
-            drift=_address(drift),
-        )
+    def __init__(self) -> None:
+        self._nothing = np.zeros(1)
+        at = _address(self._nothing)
+        addresses = TermAddresses(at, stride=1, jacobian=at, bias=at, gravity_torque=at)
         self.pointers = np.array(addresses, dtype=np.int64)
 
 
@@ -213,8 +222,8 @@ class ArmGroup:
         Number of its first arm among all.
     joints, numbers : slice
         Its joints in the stacked vectors, and its part of Pinocchio's configuration.
-    pointers : int64 ndarray, shape (arms, 8)
-        Rows of the table of :mod:`multiarm.arms.terms`.
+    pointers : int64 ndarray, shape (arms, 5)
+        Rows of ``ArmBackends.pointers``.
     """
 
     def __init__(
@@ -240,7 +249,6 @@ class ArmGroup:
             raise ModelError("Pinocchio did not number the joints of several arms in order")
         self.pointers = np.zeros((len(arms), ADDRESSES), dtype=np.int64)
         self._first_dof = first_dof
-        self._tips = [int(d) + arm.tip_joint for arm, d in zip(arms, first_dof, strict=False)]
         self._fill_pointers()
         self._with_gravity_torque = with_gravity_torque
 
@@ -289,7 +297,22 @@ class ArmGroup:
 
     def pose_address(self, arm: int, joint: int) -> int:
         """Address of the pose of a joint of the group's arm number ``arm``."""
-        return _address(self.data.oMi[int(self._first_dof[arm]) + joint].rotation)
+        return _address(self.data.oMi[self._joint(arm, joint)].rotation)
+
+    def link_addresses(self, arm: int, joint: int) -> LinkAddresses:
+        """Addresses of the motion of the link that a joint of the group's arm ``arm`` moves."""
+        data, joint = self.data, self._joint(arm, joint)
+        pose, twist, drift = data.oMi[joint], data.v[joint], data.a_gf[joint]
+        at = _address(pose.rotation)
+        _require_layout(_address(pose.translation) == at + 72, "SE3 is not [R, p]")
+        for motion in (twist, drift):
+            near = _address(motion.angular) == _address(motion.linear) + 24
+            _require_layout(near, "Motion is not [linear, angular]")
+        return LinkAddresses(at, _address(twist.linear), _address(drift.linear))
+
+    def _joint(self, arm: int, joint: int) -> int:
+        """Number in the group's model of a joint of its arm number ``arm``; 0: the world."""
+        return int(self._first_dof[arm]) + joint if joint > 0 else 0
 
     def potential_energy(self, state: ArmState) -> float:
         """Potential energy of all links [J], zero at the world's origin."""
@@ -305,23 +328,13 @@ class ArmGroup:
         _require_layout(data.M.strides == (8, 8 * n) or n == 1, "M is not stored by columns")
         J = data.J
         _require_layout(J.size == 6 * n and J.strides[0] == 8, "J is not stored by columns")
-        for row, (d, tip) in enumerate(zip(self._first_dof[:-1], self._tips, strict=True)):
-            d = int(d)
-            pose, twist, drift = data.oMi[tip], data.v[tip], data.a_gf[tip]
-            at = _address(pose.rotation)
-            _require_layout(_address(pose.translation) == at + 72, "SE3 is not [R, p]")
-            for motion in (twist, drift):
-                near = _address(motion.angular) == _address(motion.linear) + 24
-                _require_layout(near, "Motion is not [linear, angular]")
+        for row, d in enumerate(self._first_dof[:-1].tolist()):
             self.pointers[row] = TermAddresses(
                 inertia=_address(data.M) + 8 * (d * n + d),
                 stride=n,
                 jacobian=_address(J) + 8 * 6 * d,
                 bias=_address(data.nle) + 8 * d,
                 gravity_torque=_address(data.g) + 8 * d,
-                pose=at,
-                twist=_address(twist.linear),
-                drift=_address(drift.linear),
             )
 
 

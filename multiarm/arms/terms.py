@@ -14,23 +14,29 @@ from multiarm.public import public_names
 
 
 class TermAddresses(NamedTuple):
-    """Addresses of an arm's float64 terms, a row of int64.
-
-    Pose, twist and drift are those of the link that carries the tip, in Pinocchio's layout; 0 for
-    compiled arms, which write its motion into ``ArmState.bodies``.
-    """
+    """Addresses of a robot's float64 terms, a row of int64."""
 
     inertia: Number
     stride: Number  # of the inertia, in numbers
-    jacobian: Number  # (n, 6): the columns one after the other
+    # (n, 6): the columns one after the other, each as if its joint moved the whole robot
+    jacobian: Number
     bias: Number
     gravity_torque: Number
+
+
+class LinkAddresses(NamedTuple):
+    """Addresses of the motion of a link in Pinocchio's layout, a row of int64.
+
+    0 for compiled robots, which write it into ``ArmState.bodies``.
+    """
+
     pose: Number = 0
     twist: Number = 0
     drift: Number = 0
 
 
 ADDRESSES, open_addresses = width(TermAddresses), row_of(TermAddresses)
+open_link_addresses = row_of(LinkAddresses)
 
 
 class LinkPose(NamedTuple):
@@ -103,14 +109,15 @@ class TipKinematics:
 
 
 class ArmState(NamedTuple):
-    """Inputs of a backend, and the array for the motion of the tips' links.
+    """Inputs of a backend, and the array for the motion of the links that carry tips.
 
     angles, rates : (joints,)
         Positions and velocities of the joints of all arms.
     q : (numbers,)
         The same positions as Pinocchio's configuration of its arms.
-    bodies : (arms, 24)
-        Motion of the links that carry the tips, see :class:`multiarm.contacts.motion.BodyMotion`.
+    bodies : (links, 24)
+        Motion of the links of ``ArmBackends.links``, see
+        :class:`multiarm.contacts.motion.BodyMotion`.
     """
 
     angles: np.ndarray

@@ -204,7 +204,7 @@ def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid,
     """The shapes of an arm's links; ``place`` (3,) is where its tip holds the object [m]."""
     geometry = arm.collision_model()
     levers = arm.levers(place)
-    last = arm.tip_joint
+    last = arm.tip.joint
     hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
     solids: list[Solid] = []
     lost: dict[str, None] = {}  # each file once

@@ -21,6 +21,7 @@ from multiarm.scene.values import SURROUNDINGS
 def unilateral_constraints(
     scene: Scene,
     contacts: Mapping[str, list[Contact]],
+    robot_of: Mapping[str, str],
     limits: Mapping[str, Mapping[str, tuple[float, float]]],
     dry: Mapping[str, np.ndarray] | None,
 ) -> UnilateralConstraints | None:
@@ -29,11 +30,12 @@ def unilateral_constraints(
     Parameters
     ----------
     scene : Scene
-    contacts : mapping arm -> list of Contact
-        Of the arms' joints with the object.
-    limits : mapping arm -> joint -> (lower, upper)
+    contacts : mapping connection -> list of Contact
+        Those of a robot together.
+    robot_of : mapping connection -> robot
+    limits : mapping robot -> joint -> (lower, upper)
         Of the robots, in chain order [rad, m].
-    dry : mapping arm -> (n,), optional
+    dry : mapping robot -> (n,), optional
         Dry friction of the joints [N m, N].
 
     Raises
@@ -44,16 +46,18 @@ def unilateral_constraints(
     """
     parameters = _contact_parameters(scene, contacts)
     rows, first = RowBuilder(), 0
-    for arm, of_arm in contacts.items():
-        rows.start(arm)
-        for k, contact in enumerate(of_arm):
-            rows.add_contact(contact, parameters[arm].get(k))
-        for number, (name, limit) in enumerate(limits[arm].items()):
-            record, joint = JointRow(name, number), first + number
-            rows.add_stops(record, joint, *_range(scene, arm, name, limit))
-            if dry is not None and dry[arm][number] > 0.0:
-                rows.add_dry_friction(record, joint, float(dry[arm][number]))
-        first += len(limits[arm])
+    for robot, of_joints in limits.items():
+        for name in (name for name, owner in robot_of.items() if owner == robot):
+            rows.start(name)
+            for k, contact in enumerate(contacts[name]):
+                rows.add_contact(contact, parameters[name].get(k))
+        rows.start(robot)
+        for number, (joint_name, limit) in enumerate(of_joints.items()):
+            record, joint = JointRow(joint_name, number), first + number
+            rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
+            if dry is not None and dry[robot][number] > 0.0:
+                rows.add_dry_friction(record, joint, float(dry[robot][number]))
+        first += len(of_joints)
     rows.start(SURROUNDINGS)
     if (floor := scene.effects.floor) is not None:
         for contact in floor_contacts(floor, scene.object.shape):

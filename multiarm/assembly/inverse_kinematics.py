@@ -117,7 +117,7 @@ class InverseKinematics:
     ) -> None:
         self.arm = arm
         self._structure, tip = arm.structure(), np.eye(4)
-        tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
+        tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
         self._end = end = tip if frame is None else tip @ frame
         self._to_limits = to_limits
         self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH

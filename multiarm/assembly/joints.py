@@ -17,6 +17,7 @@ from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
 from multiarm.contacts.table import PackedContacts, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
+from multiarm.dynamics.connections import LINK, THE_OBJECT, Body, Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import Layout
@@ -35,8 +36,9 @@ class Rows:
     """All rows of W of a scene."""
 
     layout: Layout
-    records: Mapping[str, list]  # of every arm, in its tip's frame, and of the surroundings
-    on_links: dict[str, list]  # the same, in the frame of the link that carries the tip
+    connections: dict[str, Connection]
+    records: Mapping[str, list]  # of every owner, the first body's geometry in its tip's frame
+    on_links: dict[str, list]  # the same, geometry on links in that of the joint that moves them
     packed: PackedContacts
     unilateral: UnilateralConstraints | None
 
@@ -80,25 +82,43 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
 
 def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
     """All rows that can be active, and which of them are unilateral."""
-    arms = robots.arms
+    arms, connections = robots.arms, scene_connections(scene, robots)
     contacts = {name: joint.contacts for name, joint in joints.items()}
-    unilateral = _unilateral(scene, robots, contacts)
+    unilateral = _unilateral(scene, robots, connections, contacts)
     records: Mapping[str, list] = contacts if unilateral is None else unilateral.records
-    around = records.get(SURROUNDINGS, [])
-    owners = [*arms, *([SURROUNDINGS] if around else [])]
+    blocks, owners, robot_of = [*arms], [], []
+    for owner in records:
+        robot = connections[owner].robot if owner in connections else owner
+        if owner not in connections and not records[owner]:
+            continue
+        if owner == SURROUNDINGS:
+            blocks.append(owner)
+        owners.append(owner)
+        robot_of.append(blocks.index(robot))
     layout = Layout(
         names=tuple(arms),
-        first_joint=_bounds([arms[name].dof if name in arms else 0 for name in owners]),
+        first_joint=_bounds([arms[name].dof if name in arms else 0 for name in blocks]),
+        owners=tuple(owners),
         first_contact=_bounds([len(records[name]) for name in owners]),
+        robot_of=tuple(robot_of),
     )
     on_links = {}
-    for name, arm in arms.items():
-        on_tip = arm.tip_rotation, arm.tip_translation
-        on_links[name] = [record.moved_on_arm(*on_tip) for record in records[name]]
-    if around:
-        on_links[SURROUNDINGS] = around
+    for owner in owners:
+        on_links[owner] = records[owner]
+        if owner in connections:
+            pair = connections[owner]
+            first, second = robots.placement(pair.first), robots.placement(pair.second)
+            on_links[owner] = [record.moved_on_bodies(first, second) for record in records[owner]]
     packed = pack([record for on_link in on_links.values() for record in on_link])
-    return Rows(layout, records, on_links, packed, unilateral)
+    return Rows(layout, connections, records, on_links, packed, unilateral)
+
+
+def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
+    """The connections of a scene's joints, those of a robot together, in the robots' order."""
+    of_joints = [Connection(joint.arm, Body(LINK, joint.arm), THE_OBJECT) for joint in scene.joints]
+    order = list(robots.arms)
+    of_joints.sort(key=lambda connection: order.index(connection.robot))
+    return {connection.name: connection for connection in of_joints}
 
 
 def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
@@ -130,7 +150,10 @@ def _check_free(joint: JointSpec, data: Data, start: State) -> None:
 
 
 def _unilateral(
-    scene: Scene, robots: Robots, contacts: Mapping[str, list]
+    scene: Scene,
+    robots: Robots,
+    connections: Mapping[str, Connection],
+    contacts: Mapping[str, list],
 ) -> UnilateralConstraints | None:
     effects = scene.effects
     has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
@@ -144,7 +167,8 @@ def _unilateral(
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    return unilateral_constraints(scene, contacts, limits, dry)
+    robot_of = {name: connection.robot for name, connection in connections.items()}
+    return unilateral_constraints(scene, contacts, robot_of, limits, dry)
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

@@ -228,7 +228,8 @@ def scene_size(data: Data) -> float:
     arrays, constants = data.arrays, data.model.constants
     levers = arrays.rows.kinematics[:, :3] - arrays.state.object_pose[:3]
     origins = fields_of(BodyMotion, arrays.bodies.links).origin
-    reaches = origins[: len(data.model.bases)] - data.model.bases
+    robots = [robot for robot, _ in data.model.backends.links]
+    reaches = origins - data.model.bases[robots]
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
     gyration = constants.object_inertia.trace() / constants.object_mass
     return math.sqrt(max(*squares, gyration))
@@ -245,12 +246,12 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
 
 
 def gaps_by_arm(data: Data) -> dict[str, float]:
-    """Largest magnitude of a gap, by arm [m]."""
+    """Largest magnitude of a gap, by connection [m]."""
     return _largest_by_arm(data, data.contact_rows.gap)
 
 
 def gap_rates_by_arm(data: Data) -> dict[str, float]:
-    """Largest magnitude of a gap rate, by arm [m/s]."""
+    """Largest magnitude of a gap rate, by connection [m/s]."""
     return _largest_by_arm(data, data.contact_rows.gap_rate)
 
 

@@ -7,7 +7,7 @@ motions of joints that list their contacts (:func:`with_joint_frames`), and the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,9 +17,10 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
-from multiarm.contacts.joint import Joint, JointFrame
+from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.control.program import ControlProgram
 from multiarm.dynamics.arrays import COUPLED, Constants, FreeComponents, TipFrame
+from multiarm.dynamics.connections import BodyTable, Connection, Connections
 from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
@@ -41,8 +42,9 @@ from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.integration.projection import project_state
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.integration.step import watch_stage
-from multiarm.jit.rows import as_row
+from multiarm.jit.rows import as_row, width
 from multiarm.scene import Scene
+from multiarm.scene.values import SURROUNDINGS
 
 # Functions of an evaluation: compiled at once, and when first called.
 FUNCTIONS = {
@@ -82,27 +84,29 @@ def uncontrolled_model(
     outlines = {name: arm.joints for name, arm in robots.resolved.items()}
     context = BuildContext(scene, arms, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
-    of_arms = {name: rows.on_links[name] for name in arms}
+    of_robots = {name: on_link for name, on_link in rows.on_links.items() if name != SURROUNDINGS}
     enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
-    levers = [arms[name].levers(frame.on_tip[:3, 3]) for name, frame in frames.items()]
-    guards = reporting_guards(of_arms, limits, layout, effects.watched, enforced)
-    without_arm = layout.owner_count - len(arms)  # the surroundings, where they have rows
+    bodies = BodyTable(arms, backends.links)
+    connections = bodies.connections(layout.owners, layout.robot_of, rows.connections)
+    guards = reporting_guards(of_robots, limits, layout, connections, effects.watched, enforced)
+    around = layout.block_count - len(arms)  # the surroundings, where they have rows
     return Model(
         arms=arms,
         robots=robots.resolved,
+        connections=rows.connections,
         joints=dict(joints),
         backends=backends,
         layout=layout,
-        contacts={name: rows.records[name] for name in arms},
+        contacts={name: rows.records[name] for name in of_robots},
         records=tuple(record for on_link in rows.on_links.values() for record in on_link),
         surfaces=tuple(rows.packed.surfaces),
         frames=frames,
-        constants=_constants(scene, arms, frames, rows, effects, backends),
+        constants=_constants(scene, bodies, connections, frames, rows, effects, backends),
         effects=effects,
         links=tuple(context.links),
-        levers=(*levers, *[np.zeros(0)] * without_arm),
+        levers=(*_levers(arms, rows.connections, frames), *[np.zeros(0)] * around),
         functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
@@ -114,7 +118,9 @@ def uncontrolled_model(
 
 def with_joint_frames(model: Model, frames: Mapping[str, JointFrame]) -> Model:
     """The same model with other free motions of its joints."""
-    constants = model.constants._replace(**_frame_constants(model.arms, frames))
+    bodies = BodyTable(model.arms, model.backends.links)
+    of_frames = _frame_constants(bodies, model.layout.owners, model.connections, frames)
+    constants = model.constants._replace(**of_frames)
     return replace(model, frames=dict(frames), constants=constants)
 
 
@@ -140,9 +146,27 @@ def with_control(model: Model, control: ControlProgram) -> Model:
     return controlled.with_python_control(control.python, control.sampling)
 
 
+def _levers(
+    arms: Mapping[str, Arm],
+    connections: Mapping[str, Connection],
+    frames: Mapping[str, JointFrame],
+) -> list[np.ndarray]:
+    """Longest lever of every joint of each robot on the contacts of its connections [m]."""
+    levers = {name: [np.zeros(arm.dof)] for name, arm in arms.items()}
+    for name, pair in connections.items():
+        ends = (pair.first, frames[name].on_tip), (pair.second, frames[name].on_object)
+        for body, frame in ends:
+            if body.robot:
+                arm = arms[body.robot]
+                levers[body.robot].append(arm.levers(frame[:3, 3], body.tip))
+    of_robots = [np.max(of_robot, axis=0) for of_robot in levers.values()]
+    return [np.where(of_robot > 0.0, of_robot, 1.0) for of_robot in of_robots]
+
+
 def _constants(
     scene: Scene,
-    arms: Mapping[str, Arm],
+    bodies: BodyTable,
+    connections: Connections,
     frames: Mapping[str, JointFrame],
     rows: Rows,
     effects: EffectProgram,
@@ -150,10 +174,9 @@ def _constants(
 ) -> Constants:
     return Constants(
         q_slots=backends.q_slots,
-        circular=np.concatenate([arm.circular for arm in arms.values()]).astype(np.int64),
-        tip_frames=np.array(
-            [as_row(TipFrame(arm.tip_rotation, arm.tip_translation)) for arm in arms.values()]
-        ),
+        circular=np.concatenate([arm.circular for arm in bodies.arms.values()]).astype(np.int64),
+        links=bodies.links(),
+        connections=connections,
         object_mass=float(scene.object.mass),
         object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
         gravity=gravity_of(scene),
@@ -163,23 +186,32 @@ def _constants(
         control_reach=COUPLED,
         dense=scene.run.solver == "dense",
         calls_user=bool(rows.packed.surfaces) or effects.calls_user,
-        **_frame_constants(arms, frames),
+        **_frame_constants(bodies, rows.layout.owners, rows.connections, frames),
         **row_constants(rows.packed.table, rows.layout),
         **effect_constants(effects),
     )
 
 
-def _frame_constants(arms: Mapping[str, Arm], frames: Mapping[str, JointFrame]) -> dict[str, Any]:
-    """Constants of the joints' frames and their free motions, in the order of the arms."""
-    in_order = [frames[name] for name in arms]
-    packed = [
-        frame.packed(arm.tip_rotation, arm.tip_translation)
-        for arm, frame in zip(arms.values(), in_order, strict=True)
-    ]
-    free = [pair for f in in_order for pair in zip(f.free, f.places, strict=True)]
+def _frame_constants(
+    bodies: BodyTable,
+    owners: Sequence[str],
+    connections: Mapping[str, Connection],
+    frames: Mapping[str, JointFrame],
+) -> dict[str, Any]:
+    """Constants of tips, of joints' frames and of free motions, in the order of the owners."""
+    tips, packed = np.zeros((len(owners), width(TipFrame))), np.zeros((len(owners), FRAME_WIDTH))
+    free: list[tuple[int, int]] = []
+    bounds = [0]
+    for c, owner in enumerate(owners):
+        if owner in connections:
+            pair, frame = connections[owner], frames[owner]
+            first, second = bodies.placement(pair.first), bodies.placement(pair.second)
+            tips[c], packed[c] = as_row(TipFrame(*first)), frame.packed(first, second)
+            free += zip(frame.free, frame.places, strict=True)
+        bounds.append(len(free))
     components, coordinates = np.array(free, dtype=np.int64).reshape(-1, 2).T.copy()
-    bounds = np.cumsum([0, *(len(frame.free) for frame in in_order)])
     return {
-        "joint_frames": np.array(packed),
-        "free": FreeComponents(bounds, component=components, coordinate=coordinates),
+        "tip_frames": tips,
+        "joint_frames": packed,
+        "free": FreeComponents(np.array(bounds), component=components, coordinate=coordinates),
     }

@@ -14,8 +14,10 @@ from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.bases import Standing, find_bases
 from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
+from multiarm.dynamics.connections import Body
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
+from multiarm.geometry.records import Placement
 from multiarm.scene import ArmSpec, ResolvedArm, Scene, resolve_arm
 from multiarm.scene.joint_values import SOLVE
 
@@ -28,6 +30,13 @@ class Robots:
     arms: dict[str, Arm]
     postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
     shared: tuple[str, ...]  # arms that another system has too
+
+    def placement(self, body: Body) -> Placement | None:
+        """Of a tip on the joint that carries it: rotation, translation; None of another body."""
+        if not body.robot:
+            return None
+        tip = self.arms[body.robot].tips[body.tip]
+        return tip.rotation, tip.translation
 
 
 def with_bases(scene: Scene) -> Scene:
@@ -99,7 +108,7 @@ def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
         urdf=resolved.urdf,
         package_dirs=resolved.package_dirs,
         base=spec.base.matrix(),
-        tip=resolved.tip,
+        tips={"": resolved.tip},
         locked=resolved.locked,
         tool_urdf=resolved.tool_urdf,
         tool_package_dirs=resolved.tool_package_dirs,

@@ -246,7 +246,7 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     linkage = Linkage(data, everything, True, limits)
     begin = linkage.posture()
     closed, swings = True, False
-    for i, gap in enumerate(gaps.values()):
+    for i, gap in enumerate(_gaps_by_robot(data, gaps)):
         if gap > tolerance:
             arm = Linkage(data, [i], False, limits)
             # a larger motion than this for its gap is a swing past a singular posture
@@ -266,22 +266,27 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     raise SceneError(cannot_close(data, name, gaps, linkage, end))
 
 
+def _gaps_by_robot(data: Data, gaps: dict[str, float]) -> list[float]:
+    """Largest gap of every robot, from those of its connections [m]."""
+    layout = data.model.layout
+    owners = [layout.owners_of_block(i) for i in range(len(layout.names))]
+    return [max(gaps[layout.owners[c]] for c in of_robot) for of_robot in owners]
+
+
 def _check_way_round(data: Data, scene: Scene, name: str) -> None:
     """Raise where a joint is closed upside down.
 
     Contacts are rows of distances, and those of a weld or a slide vanish too where the joint's
     frames on arm and object differ by half a turn.
     """
-    faults, R_O = [], fields_of(BodyMotion, data.arrays.bodies.object).rotation
-    rotations = fields_of(BodyMotion, data.arrays.bodies.links).rotation
-    links = dict(zip(data.model.arm_names, rotations, strict=False))
+    faults, rotations = [], fields_of(BodyMotion, data.arrays.bodies.motion).rotation
     for joint in scene.joints:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
         if turns is None or len(turns) > 1:
             continue
-        frame, arm = data.model.frames[joint.arm], data.model.arms[joint.arm]
-        R_T = links[joint.arm] @ arm.tip_rotation
-        R = (R_O @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
+        frame, (first, second) = data.model.frames[joint.arm], data.model.bodies_of(joint.arm)
+        R_T = rotations[first] @ data.model.tip_of(joint.arm).rotation
+        R = (rotations[second] @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
         # the cosine of the turn between both frames, or between the axes about which they may turn
         cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
         if cosine < 0.0:

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.motion import open_body
-from multiarm.geometry.records import Contact
+from multiarm.geometry.records import Contact, Placement
 from multiarm.jit.kernels import inlined, kernel
-from multiarm.jit.rows import Rotation, Vector, as_row, row_of
+from multiarm.jit.rows import Rotation, Vector, as_row, row_of, width
 from multiarm.jit.vectors import (
     add,
     add_cross,
@@ -53,7 +53,8 @@ class JointFrame:
     Attributes
     ----------
     on_tip, on_object : ndarray, shape (4, 4)
-        Pose of the joint frame in the arm's tip frame, and in the object's frame; z is the axis.
+        Pose of the joint frame in the first body's tip frame, and in the second body's frame, of a
+        link that of its tip; z is the axis.
     free : tuple of int
         Components 0 to 5 of the relative twist that serve as rates ``alpha``.
     """
@@ -76,13 +77,17 @@ class JointFrame:
         """Names of the free components, such as ``turn z``."""
         return tuple(COMPONENTS[k] for k in self.free)
 
-    def packed(self, tip_rotation: np.ndarray, tip_translation: np.ndarray) -> np.ndarray:
-        """The row for the kernel, shape (24,); the tip's frame is given in that of its link."""
+    def packed(self, first: Placement, second: Placement) -> np.ndarray:
+        """The row for the kernel, shape (24,).
+
+        ``first`` and ``second`` are the bodies' tips in the frames of their links.
+        """
+        (R_A, p_A), (R_B, p_B) = first, second
         frames = FrameRow(
-            on_link=tip_rotation @ self.on_tip[:3, :3],
-            origin_on_link=tip_rotation @ self.on_tip[:3, 3] + tip_translation,
-            on_object=self.on_object[:3, :3],
-            origin_on_object=self.on_object[:3, 3],
+            on_link=R_A @ self.on_tip[:3, :3],
+            origin_on_link=R_A @ self.on_tip[:3, 3] + p_A,
+            on_object=R_B @ self.on_object[:3, :3],
+            origin_on_object=R_B @ self.on_object[:3, 3] + p_B,
         )
         return as_row(frames)
 
@@ -96,7 +101,7 @@ class FrameRow(NamedTuple):
     origin_on_object: Vector  # [m]
 
 
-open_frames = row_of(FrameRow)
+open_frames, FRAME_WIDTH = row_of(FrameRow), width(FrameRow)
 
 
 class Joint(NamedTuple):

@@ -14,7 +14,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.geometry.records import CYLINDER, PLANE, SPHERE, Contact, SmoothShape, Surface
+from multiarm.geometry.records import (
+    CYLINDER,
+    PLANE,
+    SPHERE,
+    Contact,
+    Placement,
+    SmoothShape,
+    Surface,
+)
 from multiarm.jit.kernels import copy, plain
 from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, row_of, width
 from multiarm.jit.structs import Floats2, Ints1, Ints2
@@ -132,7 +140,7 @@ class JointRow:
     tangent: int = 0
     pushes_only: bool = False
 
-    def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> JointRow:
+    def moved_on_bodies(self, _first: Placement | None, _second: Placement | None) -> JointRow:
         """The same row, which has no geometry."""
         return self
 

@@ -7,8 +7,8 @@ alone come and go.  Compliant contacts are springs and dampers: their rows are m
 active.  All other rows are *bilateral*.  :mod:`multiarm.assembly.contact_effects` derives the
 constraints from a scene; :mod:`multiarm.events` decides which are active at a time.
 
-Rows are in the order of the stacked vectors: arm by arm its contacts, each followed by its
-tangents, then its joints; last the contacts of the object with the floor.
+Rows are in the order of the stacked vectors: robot by robot the contacts of its connections, each
+followed by its tangents, then its joints; last the contacts of the object with the floor.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class UnilateralConstraints:
     Attributes
     ----------
     records : mapping owner -> list
-        Contacts and joint rows of every arm, and of the surroundings: all rows.
+        Contacts and joint rows of every connection and robot, and of the surroundings: all rows.
     constraints : tuple of Constraint
         In the order of their rows.
     model : tuple of int
@@ -156,9 +156,9 @@ class RowBuilder:
         self.count = 0
 
     def start(self, owner: str) -> None:
-        """Begin the rows of an arm, or of the surroundings."""
+        """Begin, or go on with, the rows of an owner."""
         self.owner = owner
-        self.records[owner] = []
+        self.records.setdefault(owner, [])
 
     def _add(self, record: Contact | JointRow) -> int:
         self.records[self.owner].append(record)

@@ -121,7 +121,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     status = write_derivatives_at_rest(struct, derivatives.excess, derivatives.twist)
     differentiate_contact_forces(data, work, motion, excess, derivatives)
     add_inverse_dynamics(data, work, motion)
-    for i in range(model.joint_frames.shape[0]):  # surroundings have no joints
+    for i in range(data.control.power.size):  # the surroundings have no joints
         n = work.first_joint[i + 1] - work.first_joint[i]
         rates = arm_columns(n, False).rates
         for j in range(n):

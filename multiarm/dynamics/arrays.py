@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.table import ContactTable, JointRows
+from multiarm.dynamics.connections import Connections, Links
 from multiarm.dynamics.guards import Guards, open_guards
 from multiarm.dynamics.solver.node import ArmGroups, NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
@@ -65,9 +66,9 @@ OPEN_LOOP, LOCAL, CARRYING, COUPLED = range(4)
 
 
 class FreeComponents(NamedTuple):
-    """The m recorded components of the relative motions in the joint frames, arm after arm."""
+    """The m recorded components of the relative motions in the joint frames."""
 
-    bounds: Ints1  # (n + 1,) first one of each arm
+    bounds: Ints1  # (C + 1,) first one of each owner of rows
     component: Ints1  # (m,) of the relative rates
     coordinate: Ints1  # (m,) its coordinate among those of the relative motion
 
@@ -89,9 +90,11 @@ class Constants(NamedTuple):
     # sine stand there
     q_slots: Ints1
     circular: Ints1
-    contacts: ContactTable  # the arms' geometry is in the frame of the joint that carries the tip
-    joint_frames: Floats2  # (n, 24), see multiarm.contacts.joint
-    tip_frames: Floats2  # (n, 12), of :class:`TipFrame`
+    contacts: ContactTable  # geometry on links is in the frame of the joint that moves the link
+    links: Links
+    connections: Connections  # the C owners of rows
+    joint_frames: Floats2  # (C, 24), see multiarm.contacts.joint
+    tip_frames: Floats2  # (C, 12), of :class:`TipFrame`, of the first bodies
     free: FreeComponents
     object_mass: Float  # [kg]
     object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.contacts.joint import open_frames
+from multiarm.contacts.kernel import open_contact
+from multiarm.contacts.motion import open_body
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.kinematics import is_object, write_object_row
 from multiarm.jit.kernels import clear, kernel
+from multiarm.jit.vectors import add_rotated
 
 
 @kernel
@@ -32,17 +37,25 @@ def add_joint_forces(work, W, force, sign, on_joints):
 
 
 @kernel
-def write_wrenches(rows, bounds, forces, wrenches):
-    """Write the wrench of each owner of rows on the object, the sum of its ``rows * forces``.
+def write_wrenches(model, data, forces):
+    """Write the wrench of each owner of rows on its second body into ``data.sample.wrenches``.
 
-    ``rows`` (N, 6) are those of ``W_o``, ``bounds`` (o + 1,) where those of each owner begin.
+    World axes; about the object's centre of mass, or on another body about the origin of the
+    joint's frame there.  ``forces`` (N,) are those of the rows.
     """
-    for i in range(wrenches.shape[0]):
-        wrench = wrenches[i]
+    pairs, wrenches, first = model.connections, data.sample.wrenches, data.rows.first
+    for c in range(wrenches.shape[0]):
+        wrench, second = wrenches[c], pairs.second[c]
         clear(wrench)
-        for k in range(bounds[i], bounds[i + 1]):
+        on_object = is_object(second, data)
+        body, frames = open_body(data.bodies.motion[second]), open_frames(model.joint_frames[c])
+        x = add_rotated(body.origin, body.rotation, frames.origin_on_object)
+        for k in range(first[c], first[c + 1]):
+            if not on_object:
+                write_object_row(open_contact(data.rows.kinematics[k]), x, data.rows.about_joint)
+            row = data.rows.W_o[k] if on_object else data.rows.about_joint
             for l in range(wrench.size):
-                wrench[l] += rows[k, l] * forces[k]
+                wrench[l] += row[l] * forces[k]
 
 
 def uncarried_wrench(data: Data) -> np.ndarray:

@@ -10,6 +10,8 @@ import math
 
 import numpy as np
 
+from multiarm.arms.arm import ArmTip
+from multiarm.contacts.joint import FrameRow
 from multiarm.contacts.kernel import (
     LINE_CONTACT,
     ContactRow,
@@ -28,6 +30,7 @@ from multiarm.contacts.motion import BodyMotion, open_body, open_relative, write
 from multiarm.contacts.table import PAIR, Code, ContactGeometry, open_code
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.connections import LINK, OBJECT, Body
 from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -47,6 +50,7 @@ from multiarm.geometry.screws import first_largest
 from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
 from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
+from multiarm.scene.values import SURROUNDINGS
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -91,13 +95,13 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
     data.forgive()  # surfaces of contacts that are not located yet may have failed
     faults = []
     for row in map(int, pairs):
-        arm, contact = data.model.owner(row)
-        place = _locate(data, row, arm)
+        owner, contact = data.model.owner(row)
+        place = _locate(data, row, owner)
         if place is None:
             faults.append(
-                f"arm '{arm}': the two surfaces of '{contact.name}' have no common normal line, or "
-                f"touch along a line and not in a point; correct their placement, or use several "
-                f"contacts with spherical tips"
+                f"arm '{owner}': the two surfaces of '{contact.name}' have no common normal line, "
+                f"or touch along a line and not in a point; correct their placement, or use "
+                f"several contacts with spherical tips"
             )
         else:
             places[codes.shape[row]] = place
@@ -136,15 +140,16 @@ def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.nda
 
 
 def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
-    """Contact matrices of every arm at the kinematics in the data."""
+    """Contact matrices of every connection at the kinematics in the data."""
     b, table = data.arrays, data.model.constants.contacts
     every_row = np.vstack([b.rows.kinematics, b.rows.parts])
     terms = {}
-    for i, name in enumerate(data.model.arm_names):
-        rows = data.model.layout.contacts_of(i)
+    for name in data.model.connections:
+        rows = data.model.layout.contacts_of(data.model.layout.owners.index(name))
+        first, second = (b.bodies.motion[body] for body in data.model.bodies_of(name))
         matrices = contact_matrices(
-            table, every_row, np.arange(rows.start, rows.stop), b.bodies.links[i],
-            b.bodies.object, _tip_kinematics(data, name, b.bodies.links[i]),
+            table, every_row, np.arange(rows.start, rows.stop), first, second,
+            _tip_kinematics(data.model.tip_of(name), first),
         )  # fmt: skip
         contacts = fields_of(ContactRow, b.rows.kinematics[rows])
         points, normals = points_and_normals(data, rows)
@@ -178,7 +183,7 @@ def scaled_force_directions(data: Evaluated) -> np.ndarray:
     layout, scale = data.model.layout, np.empty(data.model.layout.nv)
     scale[layout.of_frames] = np.sqrt(np.diag(data.arrays.bodies.object_inertia))
     for i in range(len(layout.names)):
-        joints = layout.of_arm(i)
+        joints = layout.of_robot(i)
         scale[joints] = np.sqrt(np.diag(data.work.M[i])[: joints.stop - joints.start])
     return force_directions(data) / scale[:, None]
 
@@ -189,66 +194,104 @@ def force_directions(data: Evaluated) -> np.ndarray:
     directions = np.zeros((layout.nv, layout.contacts))
     directions[layout.of_frames] = data.arrays.rows.W_o.T
     for i in range(len(layout.names)):
-        joints, rows = layout.of_arm(i), slice(work.first_contact[i], work.first_contact[i + 1])
+        joints, rows = layout.of_robot(i), layout.contacts_of_block(i)
         directions[joints, rows] = work.W[i, : joints.stop - joints.start, : rows.stop - rows.start]
     return directions
 
 
-def relative_motion(model: Model, state: State, arm: str) -> RelativeMotion:
-    """Pose and twist of an arm's tip frame relative to the object, in object axes.
+def relative_motion(model: Model, state: State, connection: str) -> RelativeMotion:
+    """Pose and twist of a connection's first frame relative to its second body, in its axes.
 
     Raises
     ------
     ModelError
-        For an unknown arm.
+        For an unknown connection.
     """
-    if arm not in model.arms:
-        raise ModelError(f"unknown arm {arm!r}; arms are {', '.join(model.arm_names)}")
-    tip = model.arms[arm].terms(state.joint_positions[arm], state.joint_velocities[arm])
-    X_WO, X_WT = np.eye(4), np.eye(4)
-    X_WO[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
-    X_WO[:3, 3] = state.object_position
-    X_WT[:3, :3], X_WT[:3, 3] = tip.tip_rotation, tip.tip_position
-    return seen_from_object(X_WO, state.object_twist, X_WT, tip.tip_twist)
+    if connection not in model.connections:
+        known = ", ".join(model.connections)
+        raise ModelError(f"unknown arm {connection!r}; arms are {known}")
+    pair = model.connections[connection]
+    (X_WB, twist_B), (X_WA, twist_A) = (
+        _pose_and_twist(model, state, body) for body in (pair.second, pair.first)
+    )
+    return seen_from_object(X_WB, twist_B, X_WA, twist_A)
 
 
-def joint_wrenches(data: Evaluated, arm: str) -> np.ndarray:
-    """Rows ``[e; (p - x) x e / size]`` of a joint at the kinematics in the data.
+def _pose_and_twist(model: Model, state: State, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (4, 4) and twist (6,) of a body's frame, of a link that of its tip, world axes."""
+    X, twist = np.eye(4), np.zeros(6)
+    if body.kind == OBJECT:
+        X[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
+        X[:3, 3], twist = state.object_position, state.object_twist
+    if body.kind == LINK:
+        robot, positions, rates = body.robot, state.joint_positions, state.joint_velocities
+        tip = model.arms[robot].tip_kinematics(positions[robot], rates[robot], body.tip)
+        X[:3, :3], X[:3, 3], twist = tip.rotation, tip.position, tip.twist
+    return X, twist
 
-    Shape (N, 6), in the axes of the object's joint frame about the arm's, each of unit length;
-    moments are measured at the longest lever arm [m].  Rows that belong to the arm's own joints
-    have none, and are left out.
+
+def wrench_rows(data: Evaluated) -> np.ndarray:
+    """Wrenches ``[e; (P - x) x e]`` of unit forces on the second bodies, world axes, shape (N, 6).
+
+    At the kinematics in the data.  ``x`` is the object's centre of mass; of another body the origin
+    of the joint's frame on it.
     """
-    i = data.model.arm_names.index(arm)
-    x = joint_origin(data, arm)
-    body = fields_of(BodyMotion, data.arrays.bodies.object)
-    R = body.rotation @ data.model.frames[arm].on_object[:3, :3]
-    rows = data.arrays.rows.W_o[data.model.layout.contacts_of(i)]
+    model, rows = data.model, data.arrays.rows.W_o.copy()
+    for c, owner in enumerate(model.layout.owners):
+        if owner in model.connections and not model.connections[owner].on_object:
+            own, x = model.layout.contacts_of(c), _reference_point(data, owner)
+            contacts = fields_of(ContactRow, data.arrays.rows.kinematics[own])
+            moment = np.cross(contacts.point - x, contacts.normal) + contacts.couple
+            rows[own] = np.hstack([contacts.normal, moment])
+    return rows
+
+
+def _reference_point(data: Evaluated, connection: str) -> np.ndarray:
+    """The point about which :func:`wrench_rows` has the moments of a connection, shape (3,) [m]."""
+    body = fields_of(BodyMotion, data.arrays.bodies.motion[data.model.bodies_of(connection)[1]])
+    if data.model.connections[connection].on_object:
+        return body.origin
+    frames = data.model.constants.joint_frames[data.model.layout.owners.index(connection)]
+    return body.origin + body.rotation @ fields_of(FrameRow, frames).origin_on_object
+
+
+def joint_wrenches(data: Evaluated, connection: str) -> np.ndarray:
+    """Rows ``[e; (p - x) x e / size]`` of a connection at the kinematics in the data.
+
+    Shape (N, 6), in the axes of the second body's joint frame about the first one's, each of unit
+    length; moments are measured at the longest lever arm [m].  Rows that belong to joints have
+    none, and are left out.
+    """
+    model, x = data.model, joint_origin(data, connection)
+    c = model.layout.owners.index(connection)
+    body = fields_of(BodyMotion, data.arrays.bodies.motion[model.bodies_of(connection)[1]])
+    R = body.rotation @ fields_of(FrameRow, model.constants.joint_frames[c]).on_object
+    rows = wrench_rows(data)[model.layout.contacts_of(c)]
     rows = rows[np.any(rows != 0.0, axis=1)]
     force = rows[:, :3]
-    moment = rows[:, 3:] - np.cross(x - body.origin, force)
+    moment = rows[:, 3:] - np.cross(x - _reference_point(data, connection), force)
     size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
     wrenches = np.hstack([force @ R, moment @ R / size])
     return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
 
 
-def joint_origin(data: Evaluated, arm: str) -> np.ndarray:
-    """Origin of a joint's frame on the arm, world axes, shape (3,) [m]."""
-    tip, i = data.model.arms[arm], data.model.arm_names.index(arm)
-    link = fields_of(BodyMotion, data.arrays.bodies.links[i])
-    at = tip.tip_rotation @ data.model.frames[arm].on_tip[:3, 3] + tip.tip_translation
+def joint_origin(data: Evaluated, connection: str) -> np.ndarray:
+    """Origin of a connection's frame on its first body, world axes, shape (3,) [m]."""
+    tip, (first, _) = data.model.tip_of(connection), data.model.bodies_of(connection)
+    link = fields_of(BodyMotion, data.arrays.bodies.motion[first])
+    at = tip.rotation @ data.model.frames[connection].on_tip[:3, 3] + tip.translation
     return link.origin + link.rotation @ at
 
 
-def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
-    """Components of the relative twist that the joint of an arm leaves free, at the start.
+def free_components(data: Data, connection: str, start: State) -> tuple[int, ...]:
+    """Components of the relative twist that a connection leaves free, at the start.
 
     They are the components of the joint frame with the largest parts in the null space of the
     joint's rows (with pivoting); rotations are scaled by the joint's size.
     """
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    wrenches = joint_wrenches(data, arm)
+    wrenches = joint_wrenches(data, connection)
     space = null_space(wrenches).basis  # (6, m)
     chosen: list[int] = []
     for _ in range(space.shape[1]):
@@ -264,7 +307,7 @@ def free_components(data: Data, arm: str, start: State) -> tuple[int, ...]:
 def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
     record = model.records[constraint.row]
-    if constraint.arm in model.arms or not isinstance(record, Contact):
+    if constraint.arm != SURROUNDINGS or not isinstance(record, Contact):
         return None
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:
@@ -280,7 +323,7 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
     patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    return depth_of_contact(data.struct, patch, len(data.model.arm_names), constraint.row)
+    return depth_of_contact(data.struct, patch, data.model.object_number + 1, constraint.row)
 
 
 @kernel
@@ -290,15 +333,15 @@ def depth_of_contact(struct: INTS, patch: NUMBERS, body: INT, row: INT):
     return depth_on_body(patch, body, row, model, data)
 
 
-def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
+def _locate(data: Data, row: int, connection: str) -> np.ndarray | None:
     """Point of the guiding surface, in its body, where two surfaces touch, shape (3,)."""
     code = Code(*data.model.constants.contacts.codes[row].tolist())
-    i, bodies = data.model.arm_names.index(arm), data.arrays.bodies
-    guiding = bodies.object if code.surface_body == SURFACE_ON_OBJECT else bodies.links[i]
+    bodies = np.array(data.model.bodies_of(connection))
+    guiding = int(bodies[1 if code.surface_body == SURFACE_ON_OBJECT else 0])
     best, smallest, trouble, second = None, np.inf, None, np.zeros(6)
-    for guess in _guesses(data, arm, row, guiding):
+    for guess in _guesses(data, connection, row, guiding):
         place = guess.copy()
-        gap = abs(locate_contact(data.struct, row, i, place, second))
+        gap = abs(locate_contact(data.struct, row, bodies, place, second))
         if data.arrays.status.failed:  # a user function has no answer there
             trouble = data.callbacks["surface"].error
             data.forgive()
@@ -310,7 +353,7 @@ def _locate(data: Data, row: int, arm: str) -> np.ndarray | None:
 
 
 @kernel
-def locate_contact(struct: INTS, row: INT, arm: INT, place: NUMBERS, second: NUMBERS):
+def locate_contact(struct: INTS, row: INT, bodies: INTS, place: NUMBERS, second: NUMBERS):
     """Locate the contact of two surfaces of a row near ``place``, and move this there, for Python.
 
     ``place`` (3,) is in the guiding body's frame.  Writes the second derivatives (6,) of the gap
@@ -318,7 +361,8 @@ def locate_contact(struct: INTS, row: INT, arm: INT, place: NUMBERS, second: NUM
     """
     model, data, _ = open_system(struct)
     table, search, code = model.contacts, data.search, open_code(model.contacts.codes[row])
-    a, b, _ = bodies_of(code, data.bodies.links[arm], data.bodies.object)
+    motion = data.bodies.motion
+    a, b, _ = bodies_of(code, motion[bodies[0]], motion[bodies[1]])
     write_relative_motion(a, b, search.relative)
     if not locate_pair(code.shape, a, b, table, search, place):
         return math.nan
@@ -339,17 +383,16 @@ def _is_line(second: np.ndarray) -> bool:
     return bool(sizes[1] <= LINE_CONTACT * sizes[2])
 
 
-def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
+def _guesses(data: Data, connection: str, row: int, guiding: int) -> np.ndarray:
     """Points in the guiding body's frame around both surfaces, shape (g, 3)."""
     _, contact = data.model.owner(row)
     assert isinstance(contact, Contact), "two surfaces are a contact's"
-    frame, tip = data.model.frames[arm], data.model.arms[arm]
-    i = data.model.arm_names.index(arm)
-    bodies = data.arrays.bodies
-    link, body, guiding = (
-        fields_of(BodyMotion, row) for row in (bodies.links[i], bodies.object, b)
+    frame, tip = data.model.frames[connection], data.model.tip_of(connection)
+    motion = data.arrays.bodies.motion
+    link, body, guide = (
+        fields_of(BodyMotion, motion[k]) for k in (*data.model.bodies_of(connection), guiding)
     )
-    on_link = contact.moved_on_arm(tip.tip_rotation, tip.tip_translation)
+    on_link = contact.moved_on_bodies((tip.rotation, tip.translation), None)
     centres = [
         body.origin + body.rotation @ contact.object.origin,
         link.origin + link.rotation @ on_link.arm.origin,
@@ -364,20 +407,20 @@ def _guesses(data: Data, arm: str, row: int, b: np.ndarray) -> np.ndarray:
     flat = np.sqrt(1.0 - height**2)
     around = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
     world = np.vstack([np.vstack([c, c + 1e-3 * reach, c + reach * around]) for c in centres])
-    return (world - guiding.origin) @ guiding.rotation
+    return (world - guide.origin) @ guide.rotation
 
 
-def _tip_kinematics(data: Evaluated, name: str, link: np.ndarray) -> np.ndarray:
-    """Kinematics of the tip frame from those of the link it is fixed to, a row of 24."""
-    arm, motion = data.model.arms[name], fields_of(BodyMotion, link)
-    offset, omega, alpha = motion.rotation @ arm.tip_translation, motion.spin, motion.spin_rate
+def _tip_kinematics(tip: ArmTip, link: np.ndarray) -> np.ndarray:
+    """Kinematics of a tip's frame from those of the link it is fixed to, a row of 24."""
+    motion = fields_of(BodyMotion, link)
+    offset, omega, alpha = motion.rotation @ tip.translation, motion.spin, motion.spin_rate
     turning = np.cross(alpha, offset) + np.cross(omega, np.cross(omega, offset))
-    tip = BodyMotion(
-        rotation=motion.rotation @ arm.tip_rotation,
+    frame = BodyMotion(
+        rotation=motion.rotation @ tip.rotation,
         origin=motion.origin + offset,
         velocity=motion.velocity + np.cross(omega, offset),
         spin=omega,
         acceleration=motion.acceleration + turning,
         spin_rate=alpha,
     )
-    return as_row(tip)
+    return as_row(frame)

@@ -35,6 +35,7 @@ from multiarm.dynamics.variables import (
     HELD,
     ONCE,
     Functions,
+    Pointers,
     SamplingStatus,
     Sizes,
     Status,
@@ -90,7 +91,7 @@ class SharedData:
 
     def __init__(self, model: Model) -> None:
         constants, layout = model.constants, model.layout
-        self._backends, self._ground = model.backends.copy(), Ground(constants.gravity)
+        self._backends, self._ground = model.backends.copy(), Ground()
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self.guards = make_guards(model.guards, range(layout.contacts))
@@ -99,15 +100,18 @@ class SharedData:
             layout=layout,
             parts=len(constants.contacts.codes) - layout.contacts,
             pairs=len(constants.contacts.shapes),
-            tips=len(constants.tip_frames),
             pinocchio_configuration=self._backends.configuration,
             works=len(model.effects.works),
             states=model.effects.states,
             passive=constants.passive_end > 0,
-            contact_states=[len(states.get(owner, ())) for owner in model.owners],
+            contact_states=[len(states.get(owner, ())) for owner in layout.owners],
         )
-        link_poses = [self._backends.pose_address(*link) for link in model.links]
-        self.arrays = v = make_variables(sizes, self._pointers(layout), link_poses)
+        pointers = Pointers(
+            terms=self._term_addresses(layout),
+            links=self._backends.link_pointers,
+            poses=[self._backends.pose_address(*link) for link in model.links],
+        )
+        self.arrays = v = make_variables(sizes, pointers)
         v.control.sampling.mode = mode_of_samples(model)
         arms = self._backends.connect(
             v.state.joint_positions,
@@ -130,10 +134,10 @@ class SharedData:
             self.calls.add(surface)
             v.search.user.callback = surface.address
 
-    def _pointers(self, layout: Layout) -> np.ndarray:
-        """``Variables.bodies.pointers``; the surroundings are an arm without joints."""
+    def _term_addresses(self, layout: Layout) -> np.ndarray:
+        """``Variables.bodies.pointers``; the surroundings are a robot without joints."""
         pointers = self._backends.pointers
-        if layout.owner_count == len(pointers):
+        if layout.block_count == len(pointers):
             return pointers
         return np.vstack([pointers, self._ground.pointers])
 
@@ -501,8 +505,7 @@ def rows_of_view(model: Model, viewed: Data) -> RowData:
         arrays = arrays._replace(control=control)
     if model.constants.contacts is viewed.model.constants.contacts:
         return RowData(model, arrays, viewed.work, viewed.coupled, {})
-    count = model.layout.contacts
-    rows = make_rows(count, len(model.constants.contacts.codes) - count)
+    rows = make_rows(model.layout, len(model.constants.contacts.codes) - model.layout.contacts)
     sample = arrays.sample._replace(forces=rows.force)
     return with_rows(model, arrays._replace(rows=rows, sample=sample))
 

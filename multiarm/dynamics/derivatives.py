@@ -269,9 +269,9 @@ def _motions(
     inertia[frames, frames], rates[:, frames], by_position[:, frames] = (
         inertia_o, W_o, of_rates[:, frames],
     )  # fmt: skip
-    for i in range(layout.owner_count):
-        rows, n, m = layout.contacts_of(i), layout.joint_counts[i], layout.contact_counts[i]
-        at, first = layout.of_arm(i), arm_columns(n, False).positions
+    for i in range(layout.block_count):
+        rows, n, m = layout.contacts_of_block(i), layout.joint_counts[i], layout.contact_counts[i]
+        at, first = layout.of_robot(i), arm_columns(n, False).positions
         inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
     return Motions(layout, inertia, closed, rates, by_position, independent)

@@ -118,7 +118,7 @@ open_equations = view(EquationWork, len(ArmLinks._fields))
 
 def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.rows.parts
-    n, N = layout.owner_count, layout.contacts
+    n, N = layout.block_count, layout.contacts
     d, m = max(layout.joint_counts), max(layout.contact_counts)
     C = arm_columns(d, placements >= 0).end
     work = EquationWork(

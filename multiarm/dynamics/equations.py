@@ -33,12 +33,11 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.kinematics import (
-    arm_rows,
     arm_terms,
+    constraint_matrices,
     contact_rows,
     load_inertia,
     object_terms,
-    write_joint_rows,
 )
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
@@ -136,10 +135,9 @@ def kinematics(address, size, _a, _b):
         return CALLBACK_FAILED
     object_terms(model, data)
     contact_rows(struct, model, data, work)
+    constraint_matrices(model, data, work)
     for i in range(data.bodies.pointers.shape[0]):
-        arm_rows(i, data, work)
         load_inertia(i, data, work)
-    write_joint_rows(model, data, work)
     # a user-defined surface may have failed
     return CALLBACK_FAILED if data.status.failed else OK
 
@@ -186,8 +184,8 @@ def control_of_closed(address, size, _a, _b):
     closed = referenced(data.modes.closed)
     model, of_closed, work = open_system(closed)
     contact_rows(closed, model, of_closed, work)
+    constraint_matrices(model, of_closed, work)
     for i in range(of_closed.bodies.pointers.shape[0]):
-        arm_rows(i, of_closed, work)
         load_inertia(i, of_closed, work)
     load_gravity_torque(of_closed, work)
     return control_torques(closed, model.control.shape[0], model, of_closed)
@@ -394,24 +392,20 @@ def update_rows(struct: INTS):
     """
     model, data, work = open_system(struct)
     contact_rows(struct, model, data, work)
-    for i in range(data.bodies.pointers.shape[0]):
-        arm_rows(i, data, work)
-    write_joint_rows(model, data, work)
+    constraint_matrices(model, data, work)
     return CALLBACK_FAILED if data.status.failed else OK
 
 
 @cfunc
 def write_general_rows(address, size, _a, _b):
-    """Write the rows of all arms that are not in closed form, after those that are."""
-    model, data, work = open_system(struct_at(address, size))
-    bodies, rows, contacts = data.bodies, data.rows, model.contacts
-    for i in range(bodies.pointers.shape[0]):
-        link = bodies.links[i]
-        for k in range(work.first_contact[i], work.first_contact[i + 1]):
+    """Write the rows of all connections that are not in closed form, after those that are."""
+    model, data, _ = open_system(struct_at(address, size))
+    rows, contacts, motion = data.rows, model.contacts, data.bodies.motion
+    for c in range(model.connections.robot.size):
+        first, second = motion[model.connections.first[c]], motion[model.connections.second[c]]
+        for k in range(rows.first[c], rows.first[c + 1]):
             if not is_in_closed_form(open_code(contacts.codes[k]).kind):
-                write_row(
-                    k, link, bodies.object, contacts, rows.kinematics, rows.parts, data.search
-                )
+                write_row(k, first, second, contacts, rows.kinematics, rows.parts, data.search)
     return OK
 
 

@@ -29,6 +29,7 @@ from multiarm.dynamics.contact_geometry import (
     place_state,
     points_and_normals,
     relative_motion,
+    wrench_rows,
 )
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import lost_motions
@@ -105,7 +106,7 @@ class Snapshot:
         self.dense = solution.elimination == Elimination.DENSE
         self.regular = not (self.dense or solution.coupled_arms)
         self.arrays, b = SimpleNamespace(), data.arrays
-        self.arrays.bodies = _copied(b.bodies, ("links", "object", "object_inertia"))
+        self.arrays.bodies = _copied(b.bodies, ("motion", "object", "object_inertia"))
         self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "W_o"))
         if not self.regular:
             self.arrays.state = _copied(b.state, ("joint_positions",))
@@ -278,12 +279,18 @@ class Evaluation:
 
     @cached_property
     def wrenches(self) -> Mapping[str, np.ndarray]:
-        """Resultant of the contact forces of each arm on the object, arm -> ndarray, shape (6,).
+        """Resultant of the contact forces of each connection on its second body, (6,) each.
 
-        Force [N] and moment [N m] about the object's centre of mass, world axes, with friction.
+        Force [N] and moment [N m] with friction, world axes; about the object's centre of mass, on
+        another body about the origin of the joint's frame there.
         """
-        rows = rows_by_owner(self._all.model.layout, self._all.arrays.rows.W_o)
-        return {owner: rows[owner].T @ force for owner, force in self.contact_forces.items()}
+        model = self._all.model
+        rows = rows_by_owner(model.layout, wrench_rows(self._all))
+        return {
+            owner: rows[owner].T @ force
+            for owner, force in self.contact_forces.items()
+            if owner in model.connections or owner == SURROUNDINGS
+        }
 
     @cached_property
     def normal_forces(self) -> Mapping[str, np.ndarray]:
@@ -362,11 +369,8 @@ class Evaluation:
         ``nonnegative`` or ``echelon``; see
         :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
         """
-        names = [
-            f"{arm}/{contact.name}"
-            for arm, contacts in self._held.model.contacts.items()
-            for contact in contacts
-        ]
+        contacts = self._held.model.contacts
+        names = [f"{name}/{contact.name}" for name in self._holding for contact in contacts[name]]
         return internal_forces(self.W_o, form, rows, names)
 
     def force_decomposition(
@@ -379,12 +383,16 @@ class Evaluation:
         else multipliers as they are.
         """
         internal = internal or self.internal_forces()
-        stacked = np.concatenate([self._joint_forces[arm] for arm in self.contact_terms])
-        parts = decompose(self.W_o, stacked, internal, length)
-        layout = self._held.model.layout
+        forces = [self._joint_forces[name] for name in self._holding]
+        parts = decompose(self.W_o, np.concatenate(forces), internal, length)
+        bounds = np.cumsum([len(force) for force in forces])[:-1]
+
+        def by_connection(stacked: np.ndarray) -> dict[str, np.ndarray]:
+            return dict(zip(self._holding, np.split(stacked, bounds), strict=True))
+
         return ForceDecomposition(
-            moving=layout.split_contacts(parts.moving),
-            squeezing=layout.split_contacts(parts.squeezing),
+            moving=by_connection(parts.moving),
+            squeezing=by_connection(parts.squeezing),
             internal=internal,
             coordinates=parts.coordinates,
             wrench=parts.wrench,
@@ -392,8 +400,14 @@ class Evaluation:
 
     @property
     def W_o(self) -> np.ndarray:
-        """``W_o`` of all contacts of the joints, (6, N)."""
-        return np.hstack([terms.W_o for terms in self.contact_terms.values()])
+        """``W_o`` of all contacts of the joints with the object, (6, N)."""
+        return np.hstack([self.contact_terms[name].W_o for name in self._holding])
+
+    @cached_property
+    def _holding(self) -> tuple[str, ...]:
+        """The connections of the object."""
+        connections = self._held.model.connections
+        return tuple(name for name, pair in connections.items() if pair.on_object)
 
 
 def evaluate(data: Data, t: float, state: State) -> Evaluation:
@@ -463,10 +477,11 @@ def place_start(data: Data, t: float, state: State) -> None:
 
 
 def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
-    """Values of all rows, shape (N, ...), by arm, and of the surroundings where there are any."""
-    bounds, around = layout.first_contact, values[layout.surroundings]
-    of_arms = {arm: values[bounds[i] : bounds[i + 1]] for i, arm in enumerate(layout.names)}
-    return {**of_arms, SURROUNDINGS: around} if len(around) else of_arms
+    """Values of all rows, shape (N, ...), by owner; of the surroundings where they have any."""
+    parts = {owner: values[layout.contacts_of(c)] for c, owner in enumerate(layout.owners)}
+    if len(values[layout.surroundings]) == 0:
+        parts.pop(SURROUNDINGS, None)
+    return parts
 
 
 def _coupled_arms(data: Data) -> tuple[str, ...]:

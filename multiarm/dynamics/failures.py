@@ -81,7 +81,7 @@ def arm_inertia_text(arm: str) -> str:
 
 
 def _arm_that_failed(data: Data) -> str:
-    return data.model.owners[data.arrays.status.arm]
+    return data.model.blocks[data.arrays.status.arm]
 
 
 def _kernel_text(data: Data) -> str:
@@ -123,7 +123,7 @@ def ambiguity_text(data: Data) -> str:
     """That the last solution is one of several; empty where it is the only one."""
     if data.arrays.solution.motion_unique:
         return ""
-    owners = zip(data.model.owners, data.arrays.deficient.undetermined, strict=True)
+    owners = zip(data.model.blocks, data.arrays.deficient.undetermined, strict=True)
     arms = ", ".join(owner for owner, undetermined in owners if undetermined)
     return (
         "friction leaves the motion open: other accelerations meet the equations, too, with other "

@@ -16,18 +16,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.joint import unwrapped, write_relative
+from multiarm.contacts.joint import unwrapped
 from multiarm.contacts.kernel import PatchRow, depth_in_patch, open_contact, slip_of, tip_offset
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_code, open_geometry
+from multiarm.dynamics.kinematics import write_connection_motion
 from multiarm.geometry.records import Patch
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.rows import as_row
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
 from multiarm.jit.vectors import add_scaled, rotate_back, sub
-
-# Body of a patch that is not an arm's (with its number).
-ON_OBJECT = -1
 
 # --- gaps -----------------------------------------------------------------------------------------
 
@@ -75,7 +73,7 @@ class PatchDepth(NamedTuple):
     """How far inside the patch of its surface a contact is [m]."""
 
     row: Int
-    body: Int  # with the patch: an arm's number, or ``ON_OBJECT``
+    body: Int  # with the patch: its number in ``BodyVariables.motion``
     patch: Floats1  # :class:`~multiarm.contacts.kernel.PatchRow` in the body
 
 
@@ -125,7 +123,7 @@ def depth_on_body(patch, body, row, model, data):
     radius = open_geometry(model.contacts.geometry[row]).tip_radius
     offset = tip_offset(code.kind, code.surface_body, radius)
     touching = add_scaled(contact.point, offset, contact.normal)
-    carrier = open_body(data.bodies.object if body == ON_OBJECT else data.bodies.links[body])
+    carrier = open_body(data.bodies.motion[body])
     return depth_in_patch(patch, rotate_back(carrier.rotation, sub(touching, carrier.origin)))
 
 
@@ -244,9 +242,9 @@ def slip_onset(guard, rows):
 
 
 class RangeDepth(NamedTuple):
-    """How far inside its range a component of the motion of an arm's joint is [m, rad]."""
+    """How far inside its range a component of the motion of a connection is [m, rad]."""
 
-    arm: Int
+    connection: Int
     component: Int  # of the six relative motions, see multiarm.contacts.joint
     lower: Float
     upper: Float
@@ -258,16 +256,14 @@ range_at = view_at(RangeDepth)
 @kernel
 def range_depth(guard, model, data):
     """The distance to the nearer end, and its rate; NaN where the component is not free."""
-    i, component = guard.arm, guard.component
+    c, component = guard.connection, guard.component
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
     free = model.free
-    for k in range(free.bounds[i], free.bounds[i + 1]):
+    for k in range(free.bounds[c], free.bounds[c + 1]):
         if free.component[k] == component:
-            write_relative(
-                model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
-            )
+            write_connection_motion(model, data, c, rates, coordinates)
             place = free.coordinate[k]
-            x = unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
+            x = unwrapped(coordinates[place], data.last_step.coordinates[c, component], place)
             above, below = x - guard.lower, guard.upper - x
             return (above, rates[component]) if above < below else (below, -rates[component])
     return math.nan, math.nan

@@ -1,7 +1,8 @@
 r"""From joint positions and the object's pose to motions, inertias and the rows of W.
 
-First the terms of all arms, with the motion of the links that carry their tips; then the object's;
-then every arm's contacts.  The results are in :mod:`multiarm.dynamics.variables`, in world axes.
+First the terms of all robots, with the motion of the links that carry their tips; then the
+object's; then the contacts of every connection.  The results are in
+:mod:`multiarm.dynamics.variables`, in world axes.
 """
 
 from __future__ import annotations
@@ -10,11 +11,18 @@ import ctypes
 
 import numpy as np
 
-from multiarm.arms.terms import POSE_WIDTH, TermAddresses, open_addresses, open_pose
+from multiarm.arms.terms import (
+    POSE_WIDTH,
+    TermAddresses,
+    open_addresses,
+    open_link_addresses,
+    open_pose,
+)
+from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_joint
-from multiarm.jit.kernels import inlined
+from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
@@ -50,7 +58,7 @@ def fill_configuration(model, data):
 
 @inlined
 def arm_terms(model, data):
-    """All terms of the arms, and the motion of the links that carry their tips."""
+    """All terms of the robots, and the motion of the links that carry their tips."""
     functions = data.functions
     if functions.arms != 0:
         arms = struct_at(functions.arms_struct, functions.arms_size)
@@ -58,10 +66,10 @@ def arm_terms(model, data):
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)
-    for i in range(data.bodies.pointers.shape[0]):
-        addresses = open_addresses(data.bodies.pointers[i])
+    for l in range(data.bodies.link_pointers.shape[0]):
+        addresses = open_link_addresses(data.bodies.link_pointers[l])
         if addresses.twist != 0:
-            link_motion(addresses, model.gravity, open_body(data.bodies.links[i]))
+            link_motion(addresses, model.gravity, open_body(data.bodies.links[l]))
 
 
 @inlined
@@ -85,7 +93,7 @@ def object_terms(model, data):
 
 @inlined
 def link_motion(addresses, gravity, body):
-    """Motion of the link that carries an arm's tip, in world axes, from Pinocchio's own arrays.
+    """Motion of a link that carries a tip, in world axes, from Pinocchio's own arrays.
 
     Pinocchio gives twist and spatial acceleration in link axes, the latter minus gravity;
     the classical acceleration of the origin is ``a + omega x v``.
@@ -104,11 +112,11 @@ def link_motion(addresses, gravity, body):
 
 @inlined
 def contact_rows(struct, model, data, work):
-    """Contact kinematics of all arms; ``model, data, work`` are the views of ``struct``."""
-    bodies, complete = data.bodies, True
-    for i in range(bodies.pointers.shape[0]):
+    """Contact kinematics of all rows; ``model, data, work`` are the views of ``struct``."""
+    bodies, pairs, first, complete = data.bodies, model.connections, data.rows.first, True
+    for c in range(pairs.robot.size):
         complete &= write_rows_in_closed_form(
-            work.first_contact[i], work.first_contact[i + 1], bodies.links[i], bodies.object,
+            first[c], first[c + 1], bodies.motion[pairs.first[c]], bodies.motion[pairs.second[c]],
             model.contacts, bodies.relative, data.rows.kinematics,
         )  # fmt: skip
     if not complete:
@@ -116,24 +124,36 @@ def contact_rows(struct, model, data, work):
 
 
 @inlined
-def arm_rows(i, data, work):
-    """Rows of ``W_o`` of arm ``i``, and its ``W``, from the kinematics of its contacts."""
+def constraint_matrices(model, data, work):
+    """Rows of ``W_o``, and ``W`` of every robot, from the kinematics of the contacts."""
+    for c in range(model.connections.robot.size):
+        if model.connections.serial[c]:
+            rows_of_arm(c, model, data, work)
+        else:
+            rows_of_connection(c, model, data, work)
+    write_joint_rows(model, data, work)
+
+
+@inlined
+def rows_of_arm(c, model, data, work):
+    """``W_o`` and ``W`` of a connection of a link that all joints of its robot move."""
+    i = model.connections.robot[c]
     d = work.first_joint[i + 1] - work.first_joint[i]
-    first = work.first_contact[i]
-    m = work.first_contact[i + 1] - first
-    bodies = data.bodies
+    first = data.rows.first[c]
+    m, before = data.rows.first[c + 1] - first, first - work.first_contact[i]
+    bodies, on_object = data.bodies, is_object(model.connections.second[c], data)
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
     x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.arm_wrenches
     for k in range(m):
-        row, W_o = open_contact(data.rows.kinematics[first + k]), data.rows.W_o[first + k]
+        row = open_contact(data.rows.kinematics[first + k])
         e, p, couple = row.normal, row.point, row.couple
-        put(W_o, 0, e)
-        put(W_o, 3, add(cross(sub(p, x_o), e), couple))
-        # the arm takes the opposite wrench; its Jacobian is about the world's origin
+        if on_object:
+            write_object_row(row, x_o, data.rows.W_o[first + k])
+        # the robot takes the opposite wrench; its Jacobian is about the world's origin
         force, moment = scale(-1.0, e), sub(cross(e, p), couple)
         if m < LANES:
             for j in range(d):
-                W[j, k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+                W[j, before + k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
         else:
             wrench[0, k], wrench[1, k], wrench[2, k] = force
             wrench[3, k], wrench[4, k], wrench[5, k] = moment
@@ -142,13 +162,66 @@ def arm_rows(i, data, work):
     k = 0
     while k < m:
         k = min(k, m - LANES)  # the last four may overlap those before
-        write_four_columns(i, k, d, J, wrench, work)
+        write_four_columns(i, before, k, d, J, wrench, work)
         k += LANES
 
 
 @inlined
-def write_four_columns(i, k, d, J, wrench, work):
-    """Four columns of ``W``, contacts ``k`` to ``k + 3``, in SIMD packs."""
+def is_object(body, data):
+    """Whether a body is the object."""
+    return body == data.bodies.links.shape[0]
+
+
+@inlined
+def write_object_row(row, x_o, W_o):
+    """Write a row of ``W_o``, ``[e; (P - x_o) x e]``; ``x_o`` is the object's centre of mass."""
+    put(W_o, 0, row.normal)
+    put(W_o, 3, add(cross(sub(row.point, x_o), row.normal), row.couple))
+
+
+@kernel
+def rows_of_connection(c, model, data, work):
+    """``W_o`` and ``W`` of a connection of any two bodies."""
+    pairs, links = model.connections, data.bodies.links.shape[0]
+    first, second = pairs.first[c], pairs.second[c]
+    for k in range(data.rows.first[c], data.rows.first[c + 1]):
+        column = k - work.first_contact[pairs.robot[c]]
+        if second == links:
+            x_o, row = open_body(data.bodies.object).origin, open_contact(data.rows.kinematics[k])
+            write_object_row(row, x_o, data.rows.W_o[k])
+        clear_column(pairs.robot[c], column, work)
+        if first < links:
+            add_link_column(first, k, column, -1.0, model, data, work)
+        if second < links:
+            add_link_column(second, k, column, 1.0, model, data, work)
+
+
+@inlined
+def clear_column(i, column, work):
+    """Set a column of ``W`` of block ``i`` to zero."""
+    for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+        work.W[i, j, column] = 0.0
+
+
+@inlined
+def add_link_column(link, k, column, sign, model, data, work):
+    """Add what the force of row ``k``, times a sign, does on a link to a column of ``W``."""
+    i, row = model.links.robot[link], open_contact(data.rows.kinematics[k])
+    d = work.first_joint[i + 1] - work.first_joint[i]
+    J = floats_at(open_addresses(data.bodies.pointers[i]).jacobian, 6 * d)
+    force = scale(sign, row.normal)
+    moment = scale(sign, add(cross(row.point, row.normal), row.couple))
+    for l in range(model.links.length[link]):
+        j = model.links.chain[link, l]
+        work.W[i, j, column] += dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
+
+
+@inlined
+def write_four_columns(i, before, k, d, J, wrench, work):
+    """Four columns of ``W``, contacts ``k`` to ``k + 3`` of one connection, in SIMD packs.
+
+    ``before`` is the number of contacts of the robot that stand before this connection's.
+    """
     N, W = wrench.shape[1], work.W
     w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
     w3, w4, w5 = (
@@ -156,7 +229,7 @@ def write_four_columns(i, k, d, J, wrench, work):
         load_pack(wrench, 4 * N + k),
         load_pack(wrench, 5 * N + k),
     )
-    at = i * W.shape[1] * W.shape[2] + k
+    at = i * W.shape[1] * W.shape[2] + before + k
     for j in range(d):
         a = broadcast(J[6 * j]) * w0 + broadcast(J[6 * j + 1]) * w1 + broadcast(J[6 * j + 2]) * w2
         b = (
@@ -166,6 +239,17 @@ def write_four_columns(i, k, d, J, wrench, work):
         )
         store_pack(W, at, a + b)
         at += W.shape[2]
+
+
+@inlined
+def write_connection_motion(model, data, c, rates, coordinates):
+    """Write the relative motion of the bodies of connection ``c``: (6,) rates, (9,) coordinates.
+
+    See :func:`multiarm.contacts.joint.write_relative`.
+    """
+    pairs, motion = model.connections, data.bodies.motion
+    first, second = motion[pairs.first[c]], motion[pairs.second[c]]
+    write_relative(model.joint_frames[c], first, second, rates, coordinates)
 
 
 @inlined

@@ -6,7 +6,7 @@ With F floating frames, of which the object is one, and n joints:
 
     configuration (7 F + n)    poses (F, 7): position, quaternion xyzw; joint positions (n,)
     velocity (6 F + n)         twists (F, 6), world axes; joint velocities (n,)
-    contact forces (N)         of each arm, and last of the surroundings
+    contact forces (N)         of each owner of rows
     chart (12 F + 2 n + e + w) of the integrator: displacement, velocity, states of effects, works
     columns (12 F + 2 n)       of derivatives by the state: by displacements of the frames, their
                                twists, joint positions, joint velocities; others may follow
@@ -19,8 +19,9 @@ parts begin, in Python as in kernels; the frames are first in both.
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -82,33 +83,52 @@ def column_of_velocity(columns, l):
 
 @dataclass(frozen=True)
 class Layout:
-    """Where frames, joints and contacts of each arm are in stacked vectors.
+    """Where frames, joints and contacts are in stacked vectors.
 
-    Joints of arm ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``, its contacts
-    ``first_contact[i]`` to ``first_contact[i + 1]``.  Contacts of the object with its surroundings
-    come last, as those of an arm without joints and name.
+    Joints of robot ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``.  Rows of W have
+    *owners*: a connection of two bodies, a robot for the rows that belong to its joints (those of
+    an arm follow the contacts of its connection), and last the surroundings.  Rows of owner ``c``
+    are ``first_contact[c]`` to ``first_contact[c + 1]``; the owners of a robot stand together.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The robots.
+    first_joint : tuple of int
+        Last the number of all joints.  Where the surroundings have rows, they follow as a robot
+        without joints, so that the *blocks* of the equations are the robots and the surroundings.
+    owners : tuple of str
+        The owners of rows.
+    first_contact : tuple of int
+        Of the owners; last the number of all rows.
+    robot_of : tuple of int
+        The block of each owner.
+    frames : int
+        Floating frames.
     """
 
     names: tuple[str, ...]
     first_joint: tuple[int, ...]
+    owners: tuple[str, ...]
     first_contact: tuple[int, ...]
+    robot_of: tuple[int, ...]
     frames: int = 1
 
     def __str__(self) -> str:
         count = len(self.names)
-        arms = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
-        return f"{arms}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
+        robots = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
+        return f"{robots}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
 
     # --- sizes ----------------------------------------------------------------------------------
 
     @property
     def joints(self) -> int:
-        """Number of joints of all arms, n."""
+        """Number of joints of all robots, n."""
         return self.first_joint[-1]
 
     @property
     def contacts(self) -> int:
-        """Number of contacts of all arms, and of the surroundings, N."""
+        """Number of contacts of all owners, N."""
         return self.first_contact[-1]
 
     @property
@@ -124,33 +144,49 @@ class Layout:
     @property
     def surroundings(self) -> slice:
         """Contacts of the object with its surroundings."""
-        return slice(self.first_contact[len(self.names)], self.first_contact[-1])
+        if self.block_count == len(self.names):
+            return slice(self.contacts, self.contacts)
+        return slice(*self.first_contact[-2:])
 
     @property
-    def owner_count(self) -> int:
-        """Number of owners of contacts: the arms, and the surroundings where they have any."""
+    def block_count(self) -> int:
+        """Number of blocks: the robots, and the surroundings where they have rows."""
         return len(self.first_joint) - 1
 
     @property
     def joint_counts(self) -> list[int]:
-        """Number of joints of each owner of contacts; the surroundings have none."""
+        """Number of joints of each block; the surroundings have none."""
         return np.diff(self.first_joint).tolist()
 
     @property
     def contact_counts(self) -> list[int]:
-        """Number of contacts of each owner."""
-        return np.diff(self.first_contact).tolist()
+        """Number of contacts of each block."""
+        return np.diff(self.first_of_block).tolist()
+
+    @cached_property
+    def first_of_block(self) -> tuple[int, ...]:
+        """First contact of each block; last the number of all."""
+        owners = np.searchsorted(self.robot_of, range(self.block_count + 1))
+        return tuple(self.first_contact[owner] for owner in owners)
 
     def joints_of(self, i: int) -> slice:
-        """Joints of an arm among all joints."""
+        """Joints of a robot among all joints."""
         return slice(self.first_joint[i], self.first_joint[i + 1])
 
-    def contacts_of(self, i: int) -> slice:
+    def contacts_of(self, owner: int) -> slice:
         """Contacts of an owner among all contacts."""
-        return slice(self.first_contact[i], self.first_contact[i + 1])
+        return slice(self.first_contact[owner], self.first_contact[owner + 1])
 
-    def arm_of_joint(self, joint: int) -> int:
-        """Index of the arm that has a joint."""
+    def contacts_of_block(self, i: int) -> slice:
+        """Contacts of a block among all contacts."""
+        return slice(self.first_of_block[i], self.first_of_block[i + 1])
+
+    def owners_of_block(self, i: int) -> range:
+        """The owners of the rows of a block."""
+        return range(bisect_left(self.robot_of, i), bisect_right(self.robot_of, i))
+
+    def robot_of_joint(self, joint: int) -> int:
+        """Index of the robot that has a joint."""
         return bisect_right(self.first_joint, joint) - 1
 
     def owner_of_contact(self, contact: int) -> int:
@@ -201,22 +237,23 @@ class Layout:
         """All joints in a velocity."""
         return slice(TWIST * self.frames, self.nv)
 
-    def of_arm(self, i: int) -> slice:
-        """The joints of an arm in a velocity."""
+    def of_robot(self, i: int) -> slice:
+        """The joints of a robot in a velocity."""
         first, joints = TWIST * self.frames, self.joints_of(i)
         return slice(first + joints.start, first + joints.stop)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        """Views ``arm -> vector[..., its joints]``."""
-        return self._split(vector, self.first_joint)
+        """Views ``robot -> vector[..., its joints]``."""
+        return {name: vector[..., self.joints_of(i)] for i, name in enumerate(self.names)}
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        """Views ``arm -> vector[..., its contacts]``."""
-        return self._split(vector, self.first_contact)
-
-    def _split(self, vector: np.ndarray, bounds: tuple[int, ...]) -> dict[str, np.ndarray]:
-        pairs = zip(self.names, bounds[:-1], bounds[1:], strict=False)
-        return {name: vector[..., a:b] for name, a, b in pairs}
+        """Views ``owner -> vector[..., its contacts]``, without the surroundings."""
+        owners = zip(self.owners, self.robot_of, strict=True)
+        return {
+            name: vector[..., self.contacts_of(c)]
+            for c, (name, robot) in enumerate(owners)
+            if robot < len(self.names)
+        }
 
     # --- columns of derivatives -----------------------------------------------------------------
 

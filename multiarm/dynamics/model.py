@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
+from multiarm.arms.arm import AT_REST, Arm, ArmTip
 from multiarm.arms.backends import ArmBackends
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.table import (
@@ -32,6 +32,7 @@ from multiarm.contacts.table import (
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.arrays import COUPLED, Constants
 from multiarm.dynamics.callbacks import PythonControl
+from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.control_laws import NO_CONTROL, ControlLaw, are_differentiable
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard
@@ -59,16 +60,18 @@ class ControlSpan:
 class Model:
     """Constants of a compiled scene."""
 
-    arms: dict[str, Arm]
-    robots: dict[str, ResolvedArm]  # each arm of the scene with its robot
-    joints: dict[str, Joint]
+    arms: dict[str, Arm]  # the robots
+    robots: dict[str, ResolvedArm]  # their files and starts
+    connections: dict[str, Connection]  # of bodies, by name: the joints of the scene
+    joints: dict[str, Joint]  # of the connections
     backends: ArmBackends  # they compute the terms of the arms; every Data takes a copy
     layout: Layout
-    contacts: dict[str, list[Contact]]  # of each arm; the arm's geometry in the tip frame
-    # all rows of W, the arms' geometry in the frame of the link that carries the tip
+    # of each owner of rows but the surroundings; the first body's geometry in its tip frame
+    contacts: dict[str, list[Contact]]
+    # all rows of W, the geometry on links in the frame of the joint that moves the link
     records: tuple[Contact | JointRow, ...]
     surfaces: tuple[SmoothShape, ...]  # user-defined surfaces; every Data takes copies
-    frames: dict[str, JointFrame]  # each joint's frame on both bodies, and its free motions
+    frames: dict[str, JointFrame]  # each connection's frame on both bodies, its free motions
     constants: Constants  # for kernels
     effects: EffectProgram
     links: tuple[tuple[int, int], ...]  # arm and joint of every link that an effect acts on
@@ -100,7 +103,7 @@ class Model:
 
     @property
     def arm_names(self) -> tuple[str, ...]:
-        """Names of the arms in the order of the stacked vectors."""
+        """Names of the robots in the order of the stacked vectors."""
         return self.layout.names
 
     @cached_property
@@ -126,20 +129,35 @@ class Model:
         """Names of the unilateral contacts by their owners; None where there is none."""
         if self.unilateral is None:
             return None
-        return {owner: self.unilateral.contacts_of(owner) for owner in self.owners}
+        return {owner: self.unilateral.contacts_of(owner) for owner in self.layout.owners}
 
     @property
-    def owners(self) -> list[str]:
-        """Who has rows of W: the arms, and the surroundings where they have any."""
-        return [*self.arm_names, SURROUNDINGS][: self.layout.owner_count]
+    def blocks(self) -> list[str]:
+        """Names of the blocks: the robots, and the surroundings where they have rows."""
+        return [*self.arm_names, SURROUNDINGS][: self.layout.block_count]
 
     def owner(self, row: int) -> tuple[str, Contact | JointRow]:
-        """Arm (or surroundings) and record of a row of W."""
-        return self.owners[self.layout.owner_of_contact(row)], self.records[row]
+        """Owner and record of a row of W."""
+        return self.layout.owners[self.layout.owner_of_contact(row)], self.records[row]
+
+    @property
+    def object_number(self) -> int:
+        """The object among the bodies (:mod:`multiarm.dynamics.connections`); the world follows."""
+        return len(self.backends.links)
+
+    def bodies_of(self, connection: str) -> tuple[int, int]:
+        """First and second body of a connection, in the order of ``BodyVariables.motion``."""
+        c, pairs = self.layout.owners.index(connection), self.constants.connections
+        return int(pairs.first[c]), int(pairs.second[c])
+
+    def tip_of(self, connection: str) -> ArmTip:
+        """The tip that is a connection's first body; a frame at rest where that is the world."""
+        body = self.connections[connection].first
+        return self.arms[body.robot].tips[body.tip] if body.robot else AT_REST
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
-        i = self.layout.arm_of_joint(joint)
+        i = self.layout.robot_of_joint(joint)
         return self.arms[self.arm_names[i]].joint_names[joint - self.layout.first_joint[i]]
 
     @property
@@ -213,10 +231,8 @@ class Model:
         layout = replace(self.layout, first_contact=bounds)
         numbers = chosen.tolist()
         contacts = {
-            name: [self.contacts[name][row - before[i]] for row in numbers[first:last]]
-            for i, (name, first, last) in enumerate(
-                zip(layout.names, bounds[:-1], bounds[1:], strict=False)
-            )
+            name: [records[row - before[c]] for row in numbers[bounds[c] : bounds[c + 1]]]
+            for c, (name, records) in enumerate(self.contacts.items())
         }
         table = self.constants.contacts
         parts = count_parts(table.codes, self.layout.contacts)
@@ -237,7 +253,7 @@ def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table."""
     of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
-    first_contact, first_joint = np.array(layout.first_contact), np.array(layout.first_joint)
+    first_contact, first_joint = np.array(layout.first_of_block), np.array(layout.first_joint)
     select_joint_rows(table.codes, first_contact, first_joint, joint_rows)
     return {"contacts": table, "joint_rows": joint_rows}
 

@@ -27,6 +27,7 @@ from multiarm.contacts.table import (
 )
 from multiarm.dynamics.arrays import Constants, Shapes, open_system, row_places
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.node import (
     NodeWork,
@@ -64,7 +65,7 @@ class RowSelection(Data):
     rows : int64 (m,)
         The selected rows, increasing.
     counts : list of int
-        How many each arm has of them.
+        How many each block has of them.
     tangents : RowSelection, optional
         With the tangents of those that slide, see :mod:`multiarm.dynamics.sliding`; they are
         selected before the rows.
@@ -75,10 +76,10 @@ class RowSelection(Data):
         super().__init__(replace(model.select(range(layout.contacts)), unilateral=None), full)
         self.tangents: RowSelection | None = None
         self._full, self._room = full, self._make_room(variables)
-        joints, first_contact = layout.joint_counts, np.array(layout.first_contact)
+        joints = layout.joint_counts
         self._places = row_places(*_shapes(joints, layout.contact_counts, 0))
         of_joints = fields_of(Code, model.constants.contacts.codes[: layout.contacts]).kind == JOINT
-        tables = partial(_tables, joints, first_contact, of_joints)
+        tables = partial(_tables, layout, of_joints)
         self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were
         self._selections = lru_cache(MOST_RECENT)(partial(SelectedRows, model, self._room))
@@ -107,7 +108,9 @@ class RowSelection(Data):
         selected[rows] = SELECTED
         tables = self._tables(selected.tobytes())
         self.struct[self._places] = tables.sizes
-        write_selection(self.struct, self._full.struct, rows, tables.bounds, tables.order)
+        write_selection(
+            self.struct, self._full.struct, rows, tables.of_owners, tables.of_blocks, tables.order
+        )
         self.rows, self.counts = rows, tables.counts
         if self.tangents is not None:
             selected[self.tangents.rows] = TANGENT_SELECTED
@@ -166,29 +169,30 @@ class SelectedRows:
     @cached_property
     def _sizes(self) -> tuple[list[int], list[int]]:
         layout = self._full.layout
-        owners = range(layout.owner_count)
-        counts = [self._selected[layout.contacts_of(i)].count(SELECTED) for i in owners]
+        blocks = range(layout.block_count)
+        counts = [self._selected[layout.contacts_of_block(i)].count(SELECTED) for i in blocks]
         return layout.joint_counts, counts
 
 
 class _Tables(NamedTuple):
-    """What belongs to some rows: their first ones of each arm, sizes of arrays, order of groups."""
+    """What belongs to some rows: their first ones, sizes of arrays, order of groups."""
 
-    bounds: np.ndarray  # (n + 1,)
-    counts: list[int]
+    of_owners: np.ndarray  # (C + 1,) first row of each owner
+    of_blocks: np.ndarray  # (n + 1,)
+    counts: list[int]  # of the blocks
     sizes: np.ndarray
     order: np.ndarray
 
 
-def _tables(
-    joints: list[int], all_bounds: np.ndarray, of_joints: np.ndarray, selected: bytes
-) -> _Tables:
+def _tables(layout: Layout, of_joints: np.ndarray, selected: bytes) -> _Tables:
     rows = np.flatnonzero(np.frombuffer(selected, dtype=np.uint8))
-    bounds = np.searchsorted(rows, all_bounds)
-    counts = np.diff(bounds).tolist()
+    of_owners, of_blocks = (
+        np.searchsorted(rows, bounds) for bounds in (layout.first_contact, layout.first_of_block)
+    )
+    joints, counts = layout.joint_counts, np.diff(of_blocks).tolist()
     shapes = _shapes(joints, counts, int(np.count_nonzero(of_joints[rows])))
     sizes = [size for part in shapes for shape in part.values() for size in shape]
-    return _Tables(bounds, counts, np.array(sizes), group_order(joints, counts))
+    return _Tables(of_owners, of_blocks, counts, np.array(sizes), group_order(joints, counts))
 
 
 def _shapes(joints: list[int], counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
@@ -212,14 +216,18 @@ def beginnings(holder: Any, shapes: Shapes) -> Any:
 
 
 @kernel
-def write_selection(struct: INTS, full: INTS, rows: INTS, bounds: INTS, order: INTS):
+def write_selection(
+    struct: INTS, full: INTS, rows: INTS, of_owners: INTS, of_blocks: INTS, order: INTS
+):
     """Write the tables of some rows of the system ``full``, for arrays that have their sizes.
 
-    ``bounds`` (n + 1,) are the first rows of each arm among them, ``order`` that of the groups.
+    ``of_owners`` (C + 1,) and ``of_blocks`` (n + 1,) are the first rows of each owner and of each
+    block among them, ``order`` that of the groups.
     """
     constants, _, _ = open_system(full)
     model, data, work = open_system(struct)
-    copy(bounds, work.first_contact)
+    copy(of_owners, data.rows.first)
+    copy(of_blocks, work.first_contact)
     work.status.arm_by_arm = False
     select_rows(constants.contacts, rows, model.contacts)
     select_joint_rows(model.contacts.codes, work.first_contact, work.first_joint, model.joint_rows)

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH, ContactSearch, make_search
-from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH
+from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
 from multiarm.dynamics.coordinates import columns_of_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import References
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
-from multiarm.jit.rows import Pair, Quaternion, Vector, row_of, width
+from multiarm.jit.rows import Pair, Quaternion, Vector, fields_of, row_of, width
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Ints2, Numbers
 
 
@@ -70,15 +70,17 @@ class StateVectors(NamedTuple):
 
 
 class BodyVariables(NamedTuple):
-    """Motion and inertia of the bodies, of ``n`` arms."""
+    """Motion and inertia of the bodies, of ``n`` blocks and L links that carry tips."""
 
-    pointers: Ints2  # (n, 8) addresses of each arm's terms, see multiarm.arms.terms
+    pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.arms.terms
+    link_pointers: Ints2  # (L, 3) addresses of the motion of each link
     pinocchio_configuration: Floats1
-    # motion of the links that carry the tips (n, 24), and of the object (24,); scratch for their
-    # relative motion (15,)
+    # (B, 24) motion of the links, of the object and of the world, see
+    # multiarm.dynamics.connections; parts of the same memory, (L, 24), (24,)
+    motion: Floats2
     links: Floats2
     object: Floats1
-    relative: Floats1
+    relative: Floats1  # (15,) scratch for the relative motion of two bodies
     object_inertia: Floats2  # (6, 6)
 
 
@@ -103,15 +105,17 @@ class Accelerations(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The N rows of W."""
+    """The N rows of W, of C owners."""
 
+    first: Ints1  # (C + 1,) first row of each owner
     kinematics: Floats2  # (N, 18) of the contacts, see multiarm.contacts.kernel
     parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
     W_o: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
     c: Floats1  # (N,) right-hand sides of the constraints
     force: Floats1  # (N,) contact forces, positive = pushing
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
-    arm_wrenches: Floats2  # (6, N) scratch: wrenches on one arm about the world's origin
+    arm_wrenches: Floats2  # (6, N) scratch: wrenches on one robot about the world's origin
+    about_joint: Floats1  # (6,) scratch: a row of W_o about the origin of a joint's frame
 
 
 class StepSolution(Numbers):
@@ -128,24 +132,25 @@ class StepSolution(Numbers):
 
 
 class StepEnd(NamedTuple):
-    """What a run remembers of the end of a step, of ``n`` arms."""
+    """What a run remembers of the end of a step, of ``n`` blocks and C owners of rows."""
 
     solution: StepSolution
-    lost_directions: Ints1  # (n,) how many each arm has lost
-    determinant_signs: Floats1  # (n,) of each arm (0: unknown)
+    lost_directions: Ints1  # (n,) how many each has lost
+    determinant_signs: Floats1  # (n,) of each (0: unknown)
     sign_changes: Ints1  # (n,) whether this sign has changed in the step
-    coordinates: Floats2  # (n, 6) free coordinates of the joints, without jumps
+    coordinates: Floats2  # (C, 6) free coordinates of the connections, without jumps
     points: Floats2  # (S, 3) of contacts of two surfaces, as in ``ContactSearch``
 
 
-def make_step_end(arms: int, pairs: int) -> StepEnd:
+def make_step_end(layout: Layout, pairs: int) -> StepEnd:
     """As before any step."""
+    blocks = layout.block_count
     return StepEnd(
         solution=StepSolution(),
-        lost_directions=np.zeros(arms, dtype=np.int64),
-        determinant_signs=np.zeros(arms),
-        sign_changes=np.zeros(arms, dtype=np.int64),
-        coordinates=np.full((arms, 6), np.nan),
+        lost_directions=np.zeros(blocks, dtype=np.int64),
+        determinant_signs=np.zeros(blocks),
+        sign_changes=np.zeros(blocks, dtype=np.int64),
+        coordinates=np.full((len(layout.owners), 6), np.nan),
         points=np.zeros((pairs, 3)),
     )
 
@@ -247,8 +252,8 @@ class Sample(NamedTuple):
     forces: Floats1
     rows: Ints1  # (o + 1,) the first force of each owner
     states: Ints1  # (o + 1,) the first state of each owner, also in ``forces``
-    wrenches: Floats2  # (o, 6) on the object
-    tips: Floats2  # (n, 13), of :class:`Tip`
+    wrenches: Floats2  # (o, 6) on the second body of each owner
+    tips: Floats2  # (o, 13), of :class:`Tip`; zero of an owner whose first body is no link
 
 
 class Functions(Numbers):
@@ -329,7 +334,6 @@ class Sizes(NamedTuple):
     layout: Layout
     parts: int  # of combined rows
     pairs: int  # of surfaces
-    tips: int  # the arms without the surroundings
     pinocchio_configuration: int
     works: int  # effects that do work
     states: int  # of effects
@@ -337,15 +341,23 @@ class Sizes(NamedTuple):
     contact_states: Sequence[int]  # unilateral contacts of each owner of rows
 
 
-def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]) -> Variables:
-    """Allocate; ``pointers`` and ``link_poses`` are addresses of what backends compute."""
-    layout, states, tips, pairs = sizes.layout, sizes.states, sizes.tips, sizes.pairs
-    arms, joints = len(pointers), layout.joints
+class Pointers(NamedTuple):
+    """Addresses of what backends compute."""
+
+    terms: np.ndarray  # (n, 5) of the blocks
+    links: np.ndarray  # (L, 3)
+    poses: Sequence[int]  # of the links on which effects act
+
+
+def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
+    """Allocate."""
+    layout, states, pairs = sizes.layout, sizes.states, sizes.pairs
+    blocks, joints, owners = layout.block_count, layout.joints, len(layout.owners)
     columns = columns_of_forces(layout.nv, joints, states).end
-    rows = make_rows(layout.contacts, sizes.parts)
+    rows, motion = make_rows(layout, sizes.parts), motion_of_bodies(len(pointers.links))
     recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
-    last_step = make_step_end(arms, pairs)
+    last_step = make_step_end(layout, pairs)
     return Variables(
         time=Time(),
         status=Status(),
@@ -353,17 +365,19 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
         modes=ModeStructs(),
         state=state,
         bodies=BodyVariables(
-            pointers=pointers,
+            pointers=pointers.terms,
+            link_pointers=pointers.links,
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
-            links=np.zeros((arms, BODY_WIDTH)),
-            object=np.zeros(BODY_WIDTH),
+            motion=motion,
+            links=motion[:-2],
+            object=motion[-2],
             relative=np.zeros(RELATIVE_WIDTH),
             object_inertia=np.zeros((6, 6)),
         ),
         rows=rows,
         control=ControlVariables(
             torque=np.zeros(joints),
-            power=np.zeros(tips),
+            power=np.zeros(len(layout.names)),
             sampling=SamplingStatus(mode=ALWAYS),
             held_torques=np.zeros((2, joints)),
             gravity_torque=np.zeros(joints),
@@ -373,24 +387,24 @@ def make_variables(sizes: Sizes, pointers: np.ndarray, link_poses: Sequence[int]
             states=np.zeros(states),
             state_rates=np.zeros(states),
             power=np.zeros(1 + sizes.works),
-            link_poses=np.array(link_poses, dtype=np.int64),
+            link_poses=np.array(pointers.poses, dtype=np.int64),
         ),
         forces=forces,
         accelerations=accelerations,
         solution=UNSOLVED.copy(),
         deficient=DeficientArms(
-            coupled=np.zeros(arms, dtype=np.int64), undetermined=np.zeros(arms, dtype=np.int64)
+            coupled=np.zeros(blocks, dtype=np.int64), undetermined=np.zeros(blocks, dtype=np.int64)
         ),
         dense=DenseCall(),
         check=Check(),
         last_step=last_step,
-        this_step=make_step_end(arms, pairs),
+        this_step=make_step_end(layout, pairs),
         sample=Sample(
             forces=np.zeros(recorded[-1]) if recorded[-1] > layout.contacts else rows.force,
-            rows=recorded[: arms + 1],
-            states=recorded[arms:],
-            wrenches=np.zeros((arms, 6)),
-            tips=np.zeros((tips, width(Tip))),
+            rows=recorded[: owners + 1],
+            states=recorded[owners:],
+            wrenches=np.zeros((owners, 6)),
+            tips=np.zeros((owners, width(Tip))),
         ),
         slopes=ForceSlopes(
             torque=np.zeros((joints, columns)),
@@ -433,10 +447,19 @@ def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Ac
     )
 
 
-def make_rows(rows: int, parts: int) -> Rows:
-    """Allocate for numbers of rows and of parts of combined rows."""
-    arrays = {name: np.zeros(shape) for name, shape in row_shapes(rows).items()}
-    return Rows(parts=np.zeros((parts, CONTACT_WIDTH)), **arrays)
+def motion_of_bodies(links: int) -> np.ndarray:
+    """``BodyVariables.motion`` for a number of links, the world at rest at the origin."""
+    motion = np.zeros((links + 2, BODY_WIDTH))
+    fields_of(BodyMotion, motion[-1]).rotation[:] = np.eye(3)
+    return motion
+
+
+def make_rows(layout: Layout, parts: int) -> Rows:
+    """Allocate for the rows of a layout, and a number of parts of combined rows."""
+    arrays = {name: np.zeros(shape) for name, shape in row_shapes(layout.contacts).items()}
+    first = np.array(layout.first_contact, dtype=np.int64)
+    parts_of_rows = np.zeros((parts, CONTACT_WIDTH))
+    return Rows(first=first, parts=parts_of_rows, about_joint=np.zeros(6), **arrays)
 
 
 def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:

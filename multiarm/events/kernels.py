@@ -261,8 +261,8 @@ def record_forces(address, size, _t, _b):
         shown[first + k] = mode.states[k]
     struct = referenced(data.modes.full)
     status = update_rows(struct)
-    _, full, work = open_system(struct)
-    write_wrenches(full.rows.W_o, work.first_contact, shown, data.sample.wrenches)
+    model, full, _ = open_system(struct)
+    write_wrenches(model, full, shown)
     return status
 
 

@@ -237,7 +237,7 @@ class Modes:
 
     def _room_for_slides(self) -> tuple[Slides, Slides]:
         """Room for the sliding contacts of a mode, and what each constraint is when it slides."""
-        constraints, bounds = self.unilateral.constraints, self.full.model.layout.first_contact
+        constraints, bounds = self.unilateral.constraints, self.full.model.layout.first_of_block
         count = len(constraints)
         rows = np.array([constraint.row for constraint in constraints], dtype=np.int64)
         tangents = [(*constraint.tangents, -1)[0] for constraint in constraints]

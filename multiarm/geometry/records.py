@@ -28,6 +28,8 @@ PLANE, SPHERE, CYLINDER, CONE, TORUS, ELLIPSOID, SMOOTH = range(7)
 SURFACE_ON_OBJECT, SURFACE_ON_ARM = 0, 1
 
 Vector = np.ndarray | tuple[float, float, float] | list[float]
+Placement = tuple[np.ndarray, np.ndarray]
+"""Rotation (3, 3) and translation (3,) [m]."""
 
 
 class SmoothShape(Protocol):
@@ -209,12 +211,15 @@ class Contact:
         minus = None if self.minus is None else self.minus.mapped(on_arm, on_object)
         return replace(self, arm=on_arm(self.arm), object=on_object(self.object), minus=minus)
 
-    def moved_on_arm(self, rotation: np.ndarray, translation: np.ndarray) -> Contact:
-        """The contact with the arm's geometry in another frame: ``p -> rotation p + translation``.
+    def moved_on_bodies(self, first: Placement | None, second: Placement | None) -> Contact:
+        """The contact with its geometry in other frames, ``p -> rotation p + translation``.
 
-        Used to store it in the frame of the joint that carries the tip.
+        Used to store it in the frames of the joints that carry tips; None changes nothing.
         """
-        return self.mapped(lambda s: s.moved(rotation, translation), lambda s: s)
+        return self.mapped(
+            lambda surface: surface if first is None else surface.moved(*first),
+            lambda surface: surface if second is None else surface.moved(*second),
+        )
 
     def fault(self) -> str:
         """What is wrong with its fields, in words; empty when nothing is."""

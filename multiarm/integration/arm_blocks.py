@@ -123,13 +123,13 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     ``equations`` is the struct of the derivatives of its equations.
     """
     layout, effects = data.model.layout, data.model.effects
-    n, d = layout.owner_count, max(layout.joint_counts)
+    n, d = layout.block_count, max(layout.joint_counts)
     m, works = max(layout.contact_counts), step.z.size - step.tolerance.size
     states_by_arm: list[list[int]] = [[] for _ in range(n)]
     if effects.local:
         state_joints = [joint for effect in effects.kernels for joint in effect.state_joints]
         for state, joint in enumerate(state_joints):
-            states_by_arm[layout.arm_of_joint(joint)].append(state)
+            states_by_arm[layout.robot_of_joint(joint)].append(state)
     e = max(map(len, states_by_arm))
     of_arm, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants

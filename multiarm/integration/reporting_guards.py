@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 
 from multiarm.dynamics.arrays import open_reports, open_system
+from multiarm.dynamics.connections import Connections
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_rows
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.guard_functions import (
-    ON_OBJECT,
     DriveMargin,
     PatchDepth,
     PushingForce,
@@ -39,23 +39,26 @@ def reporting_guards(
     contacts: Mapping[str, list[Contact]],
     limits: Mapping[str, Mapping[int, tuple[float, float]]],
     layout: Layout,
+    connections: Connections,
     drives: Sequence[tuple[int, int, float]] = (),
     enforced: Set[int] = frozenset(),
 ) -> tuple[Guard, ...]:
     """A guard for every force that can only push, every patch, limit and drive.
 
-    The contacts have the arms' geometry in the frame of the link that carries the tip; ``limits``
-    are by arm and component of the joint's relative motion; ``drives`` are places of excesses in
-    the system's struct, joints, and roundings of the excess.  Rows that are ``enforced`` by
-    unilateral constraints have guards that stop (:mod:`multiarm.events.mode_guards`).
+    The contacts, by owner of rows, have the geometry on links in the frame of the joint that moves
+    the link; ``limits`` are by connection and component of its relative motion; ``drives`` are
+    places of excesses in the system's struct, joints, and roundings of the excess.  Rows that are
+    ``enforced`` by unilateral constraints have guards that stop
+    (:mod:`multiarm.events.mode_guards`).
     """
     guards: list[Guard] = []
-    for i, (arm, records) in enumerate(contacts.items()):
+    bodies = list(zip(connections.first.tolist(), connections.second.tolist(), strict=True))
+    for c, (owner, records) in enumerate(contacts.items()):
         for k, contact in enumerate(records):
-            if layout.first_contact[i] + k not in enforced:
-                guards += _contact_guards(layout.first_contact[i] + k, i, contact)
-        for component, (lower, upper) in limits[arm].items():
-            depth = RangeDepth(i, component, lower, upper)
+            if layout.first_contact[c] + k not in enforced:
+                guards += _contact_guards(layout.first_contact[c] + k, bodies[c], contact)
+        for component, (lower, upper) in limits.get(owner, {}).items():
+            depth = RangeDepth(c, component, lower, upper)
             guards.append(Guard(depth, ROUNDED_EXCESS, stops=False))
     guards += [
         Guard(DriveMargin(joint, place), roundings, stops=False)
@@ -64,13 +67,13 @@ def reporting_guards(
     return tuple(guards)
 
 
-def _contact_guards(row: int, arm: int, contact: Contact) -> list[Guard]:
+def _contact_guards(row: int, bodies: tuple[int, int], contact: Contact) -> list[Guard]:
     if contact.tangent:
         return []
     guards = []
     if contact.pushes_only:
         guards.append(Guard(PushingForce(row), SMALL_PULL, scale=FORCES, stops=False))
-    for body, surface in ((arm, contact.arm), (ON_OBJECT, contact.object)):
+    for body, surface in zip(bodies, (contact.arm, contact.object), strict=True):
         if surface.patch is not None:
             depth = PatchDepth(row, body, packed_patch(surface.patch))
             guards.append(Guard(depth, ROUNDED_EXCESS, stops=False))
@@ -118,7 +121,7 @@ def count_reports(struct, functions, h):
 
 
 def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
-    """Contacts outside the patch of their surface: arm, name, distance [m].
+    """Contacts outside the patch of their surface: owner, name, distance [m].
 
     At the kinematics in ``data``.
     """
@@ -128,6 +131,6 @@ def contacts_off_patch(data: Data) -> list[tuple[str, str, float]]:
     off = []
     for guard, depth in zip(data.model.guards, data.guards.value.tolist(), strict=True):
         if isinstance(guard.function, PatchDepth) and depth < -guard.threshold:
-            arm, contact = data.model.owner(guard.function.row)
-            off.append((arm, contact.name, -depth))
+            owner, contact = data.model.owner(guard.function.row)
+            off.append((owner, contact.name, -depth))
     return off

@@ -6,12 +6,13 @@ A quaternion of a tip has the sign with which it continues that of the sample be
 
 from __future__ import annotations
 
-from multiarm.contacts.joint import unwrapped, write_relative
+from multiarm.contacts.joint import unwrapped
 from multiarm.contacts.kernel import greatest_gaps
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_system, open_tip_frame
 from multiarm.dynamics.contact_forces import write_wrenches
 from multiarm.dynamics.equations import potential_energy
+from multiarm.dynamics.kinematics import write_connection_motion
 from multiarm.dynamics.momenta import kinetic_energy
 from multiarm.dynamics.status import CALLBACK_FAILED, OK
 from multiarm.dynamics.variables import open_tip
@@ -29,31 +30,28 @@ def write_sample(struct, t, works, row):
     Returns a status.
     """
     model, data, work = open_system(struct)
-    state, control, sample, status = data.state, data.control, data.sample, OK
+    state, control, status = data.state, data.control, OK
     if data.functions.contact_forces != 0:
         status = call_cfunc(data.functions.contact_forces, struct, t, 0.0)
     else:
-        write_wrenches(data.rows.W_o, work.first_contact, data.rows.force, sample.wrenches)
+        write_wrenches(model, data, data.rows.force)
     write_tips(model, data)
     row[0] = t
     at = append(row, 1, state.object_pose)
     at = append(row, at, state.object_twist)
-    for i in range(sample.wrenches.shape[0]):
-        has_tip = i < sample.tips.shape[0]  # else these are the surroundings
-        if has_tip:
-            first, last = work.first_joint[i], work.first_joint[i + 1]
-            at = append(row, at, state.joint_positions[first:last])
-            at = append(row, at, state.joint_rates[first:last])
-            at = append(row, at, control.torque[first:last])
-            if model.control.shape[0] > 0:
-                at = append(row, at, control.power[i : i + 1])
-        at = append(row, at, sample.forces[sample.rows[i] : sample.rows[i + 1]])
-        at = append(row, at, sample.forces[sample.states[i] : sample.states[i + 1]])
-        if has_tip:
-            at = append_free(model, data, i, row, at)
-        at = append(row, at, sample.wrenches[i])
-        if has_tip:
-            at = append(row, at, sample.tips[i])
+    c, owners = 0, model.connections.robot
+    for i in range(control.power.size):
+        first, last = work.first_joint[i], work.first_joint[i + 1]
+        at = append(row, at, state.joint_positions[first:last])
+        at = append(row, at, state.joint_rates[first:last])
+        at = append(row, at, control.torque[first:last])
+        if model.control.shape[0] > 0:
+            at = append(row, at, control.power[i : i + 1])
+        while c < owners.size and owners[c] == i:
+            at = append_contacts(model, data, c, row, at)
+            c += 1
+    if c < owners.size:  # the surroundings
+        at = append_contacts(model, data, c, row, at)
     last = works.size - 1
     at = append(row, at, works[:last])
     row[at], row[at + 1] = kinetic_energy(data, work), potential_energy(struct)
@@ -73,27 +71,45 @@ def append(row, at, numbers):
 
 
 @kernel
-def append_free(model, data, i, row, at):
-    """Write free relative rates of a joint, then its coordinates; returns where they end."""
+def append_contacts(model, data, c, row, at):
+    """Write what is recorded of an owner of rows: its contacts, connection and tip.
+
+    Returns where that ends.
+    """
+    sample, first, second = data.sample, model.connections.first[c], model.connections.second[c]
+    at = append(row, at, sample.forces[sample.rows[c] : sample.rows[c + 1]])
+    at = append(row, at, sample.forces[sample.states[c] : sample.states[c + 1]])
+    at = append_free(model, data, c, row, at)
+    if first != second:
+        at = append(row, at, sample.wrenches[c])
+    if first < data.bodies.links.shape[0]:
+        at = append(row, at, sample.tips[c])
+    return at
+
+
+@kernel
+def append_free(model, data, c, row, at):
+    """Write free relative rates of a connection, then its coordinates; returns where they end."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    free, first, last = model.free, model.free.bounds[i], model.free.bounds[i + 1]
+    free, first, last = model.free, model.free.bounds[c], model.free.bounds[c + 1]
     if first == last:
         return at
-    write_relative(
-        model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
-    )
+    write_connection_motion(model, data, c, rates, coordinates)
     for k in range(first, last):
         row[at + k - first] = rates[free.component[k]]
-        row[at + k - first + last - first] = continued(model, data, i, k, coordinates)
+        row[at + k - first + last - first] = continued(model, data, c, k, coordinates)
     return at + 2 * (last - first)
 
 
 @kernel
 def write_tips(model, data):
     """Origins, quaternions and twists of the tips, in world axes, into ``data.sample.tips``."""
-    for i in range(data.sample.tips.shape[0]):
-        frame, link = open_tip_frame(model.tip_frames[i]), open_body(data.bodies.links[i])
-        tip, lever = open_tip(data.sample.tips[i]), rotate(link.rotation, frame.origin)
+    for c in range(data.sample.tips.shape[0]):
+        body = model.connections.first[c]
+        if body >= data.bodies.links.shape[0]:
+            continue
+        frame, link = open_tip_frame(model.tip_frames[c]), open_body(data.bodies.links[body])
+        tip, lever = open_tip(data.sample.tips[c]), rotate(link.rotation, frame.origin)
         x, y, z, w = quaternion_of(*compose(link.rotation, frame.rotation))
         before = tip.quaternion_xyzw
         if x * before[0] + y * before[1] + z * before[2] + w * before[3] < 0.0:
@@ -104,22 +120,20 @@ def write_tips(model, data):
 
 @kernel
 def follow_joints(model, data):
-    """Store the free coordinates of all joints at the end of a step in ``data.this_step``."""
+    """Store the free coordinates of all connections at the end of a step in ``data.this_step``."""
     rates, coordinates = data.joint_motion.rates, data.joint_motion.coordinates
-    for i in range(model.joint_frames.shape[0]):
-        first, last = model.free.bounds[i], model.free.bounds[i + 1]
+    for c in range(model.joint_frames.shape[0]):
+        first, last = model.free.bounds[c], model.free.bounds[c + 1]
         if first == last:
             continue
-        write_relative(
-            model.joint_frames[i], data.bodies.links[i], data.bodies.object, rates, coordinates
-        )
+        write_connection_motion(model, data, c, rates, coordinates)
         for k in range(first, last):
             component = model.free.component[k]
-            data.this_step.coordinates[i, component] = continued(model, data, i, k, coordinates)
+            data.this_step.coordinates[c, component] = continued(model, data, c, k, coordinates)
 
 
 @inlined
-def continued(model, data, i, k, coordinates):
-    """Coordinate ``k``, of arm ``i``, as it continues that of the last step."""
+def continued(model, data, c, k, coordinates):
+    """Coordinate ``k``, of connection ``c``, as it continues that of the last step."""
     component, place = model.free.component[k], model.free.coordinate[k]
-    return unwrapped(coordinates[place], data.last_step.coordinates[i, component], place)
+    return unwrapped(coordinates[place], data.last_step.coordinates[c, component], place)

@@ -42,7 +42,7 @@ def tip_pose(
     """Pose of a robot's tip in its base, shape (4, 4), with some joints locked."""
     from multiarm.arms.arm import Arm, ArmFiles
 
-    arm = Arm("arm", ArmFiles(find_robot(robot).urdf, (), np.eye(4), tip, dict(lock or {})))
+    arm = Arm("arm", ArmFiles(find_robot(robot).urdf, (), np.eye(4), {"": tip}, dict(lock or {})))
     return arm.tip_pose(np.array(posture))
 
 

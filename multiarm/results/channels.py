@@ -141,13 +141,22 @@ def arm_channel(arm: str, quantity: str) -> str:
 
 
 def arm_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
-    """Names of the arms that have channels, in the order of the scene."""
+    """Names of the robots that have channels, in the order of the scene."""
+    return tuple(
+        channel.owner.name
+        for channel in channels.values()
+        if channel.owner.group == ARMS and channel.quantity == "joint_position"
+    )
+
+
+def owner_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """Names of all robots and connections that have channels, in the order of the scene."""
     owners = (channel.owner for channel in channels.values())
     return tuple(dict.fromkeys(owner.name for owner in owners if owner.group == ARMS))
 
 
 def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
-    """Arm, or "floor" -> name of its channel of a quantity, of the channels of a run."""
+    """Arm, connection or "floor" -> name of its channel of a quantity, of the channels of a run."""
     of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
     names = {c.owner.name: c.name for c in of_quantity if c.owner.group == ARMS}
     for channel in of_quantity:
@@ -165,6 +174,14 @@ def work_channels(channels: Mapping[str, Channel]) -> dict[str, str]:
     }
 
 
+class RowOwner(NamedTuple):
+    """Whose rows of W some are, where that is not an arm with one tip at the object."""
+
+    robot: str
+    second: str  # the body on which the forces act; empty where the rows are those of joints
+    first_is_link: bool  # the first body has the motion of a tip
+
+
 def trajectory_channels(
     joints: Mapping[str, Mapping[str, str]],
     contacts: Mapping[str, Sequence[str]],
@@ -173,41 +190,50 @@ def trajectory_channels(
     states: Mapping[str, Sequence[str]] | None = None,
     environment: Sequence[str] = (),
     controlled: bool = False,
+    owners: Mapping[str, RowOwner] | None = None,
 ) -> tuple[Channel, ...]:
-    """The channels of a run: time, then the object, the arms, the floor, effects, energy and drift.
+    """The channels of a run: time, object, robots and contacts, floor, effects, energy and drift.
 
     Parameters
     ----------
     joints : mapping
-        Arm name -> (joint name -> unit of its coordinate, `"rad"` or `"m"`), in chain order.
+        Robot -> (joint name -> unit of its coordinate, `"rad"` or `"m"`), from base to tips.
     contacts : mapping
-        Arm name -> name of each contact, in the order of the rows of W.
+        Owner of rows -> name of each contact, in the order of the rows of W.
     free : mapping
-        Arm name -> (free motion of its joint to the object -> unit of its coordinate).
+        Owner -> (free motion of its connection -> unit of its coordinate).
     works : sequence of str
         Names of the effects whose work is recorded.
     states : mapping
-        Arm name, or ``"floor"`` -> names of its contacts that can open, slide or stick.
+        Owner, or ``"floor"`` -> names of its contacts that can open, slide or stick.
     environment : sequence of str
         Names of the rows of the object's contacts with the floor.
     controlled : bool
-        Whether the arms have a control, whose power is recorded.
+        Whether the robots have a control, whose power is recorded.
+    owners : mapping, optional
+        Those that are no arms: the others are robots too, with one tip at the object.
     """
-    free, states = free or {}, states or {}
+    free, states, owners = free or {}, states or {}, owners or {}
     channels = [
         Channel("time", (), "s", "", "time of the sample"),
         *_motion_channels("object/", "object", "centre of mass"),
     ]
-    for arm, units in joints.items():
-        channels += _arm_channels(f"arms/{arm}", units)
+    facts = {name: owners.get(name, RowOwner(name, OBJECT, True)) for name in contacts}
+    for robot, units in joints.items():
+        channels += _arm_channels(f"arms/{robot}", units)
         if controlled:
-            channels.append(control_power_channel(f"arms/{arm}"))
-        channels += _contact_channels(
-            f"arms/{arm}", contacts[arm], states.get(arm, ()), "force at each contact"
-        )
-        if free.get(arm):
-            channels += _free_channels(f"arms/{arm}", free[arm])
-        channels += wrench_and_tip_channels(f"arms/{arm}")
+            channels.append(control_power_channel(f"arms/{robot}"))
+        for owner in (name for name, fact in facts.items() if fact.robot == robot):
+            path = f"arms/{owner}"
+            channels += _contact_channels(
+                path, contacts[owner], states.get(owner, ()), "force at each contact"
+            )
+            if free.get(owner):
+                channels += _free_channels(path, free[owner])
+            if facts[owner].second:
+                channels.append(wrench_channel(path, facts[owner].second))
+            if facts[owner].first_is_link:
+                channels += tip_channels(path)
     if environment:
         channels += _contact_channels(
             "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
@@ -231,9 +257,9 @@ def trajectory_channels(
     return tuple(channels)
 
 
-def wrench_and_tip_channels(path: str) -> list[Channel]:
-    """The channels of an arm's wrench and tip, which have the same shapes for all arms."""
-    return [wrench_channel(path), *_motion_channels(f"{path}/tip_", "tip", "origin")]
+def tip_channels(path: str) -> list[Channel]:
+    """The channels of a tip's motion, which have the same shapes for all."""
+    return _motion_channels(f"{path}/tip_", "tip", "origin")
 
 
 def control_power_channel(path: str) -> Channel:
@@ -244,12 +270,13 @@ def control_power_channel(path: str) -> Channel:
     )  # fmt: skip
 
 
-def wrench_channel(path: str) -> Channel:
-    """The channel of the wrench of an arm, or of the floor, on the object."""
+def wrench_channel(path: str, body: str = OBJECT) -> Channel:
+    """The channel of the wrench of a connection, or of the floor, on its second body."""
+    about = "object's centre of mass" if body == OBJECT else "origin of the joint's frame on it"
     return Channel(
         f"{path}/wrench", (6,), ", ".join(["N"] * 3 + ["N m"] * 3), "world",
-        "resultant of the contact forces and friction on the object: force, then moment about the "
-        "object's centre of mass", ("fx", "fy", "fz", "mx", "my", "mz"),
+        f"resultant of the contact forces and friction on the {body}: force, then moment about the "
+        f"{about}", ("fx", "fy", "fz", "mx", "my", "mz"),
     )  # fmt: skip
 
 

@@ -45,10 +45,11 @@ from multiarm.results.channels import (
     arm_channel,
     arm_names,
     control_power_channel,
+    owner_names,
     recordable,
+    tip_channels,
     trajectory_channels,
     width_of,
-    wrench_and_tip_channels,
     wrench_channel,
 )
 from multiarm.results.files import atomic_file, resolved
@@ -149,8 +150,8 @@ class TrajectoryReader(StoredFile):
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
         of_arms = [
-            (*wrench_and_tip_channels(f"arms/{arm}"), control_power_channel(f"arms/{arm}"))
-            for arm in arm_names(self.channels)
+            (wrench_channel(path), *tip_channels(path), control_power_channel(path))
+            for path in (f"arms/{owner}" for owner in owner_names(self.channels))
         ]
         floor = wrench_channel("environment")
         # those that runs have, with a shape that does not depend on the scene

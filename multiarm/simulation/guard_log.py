@@ -11,7 +11,6 @@ import numpy as np
 from multiarm.contacts.joint import COMPONENTS
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.guard_functions import (
-    ON_OBJECT,
     DriveMargin,
     PatchDepth,
     PushingForce,
@@ -62,11 +61,12 @@ def _event(data: Data, g: int, time: float) -> RunEvent:
     time = float(time)
     if isinstance(watched, RangeDepth):
         joint = f"joint, {COMPONENTS[watched.component]}"
-        return RunEvent(time, kind, arm=model.arm_names[watched.arm], joint=joint)
+        owner = model.layout.owners[watched.connection]
+        return RunEvent(time, kind, arm=owner, joint=joint)
     if isinstance(watched, DriveMargin):
-        name = model.arm_names[model.layout.arm_of_joint(watched.joint)]
+        name = model.arm_names[model.layout.robot_of_joint(watched.joint)]
         return RunEvent(time, kind, arm=name, joint=model.joint_name(watched.joint))
     (arm, contact), body = model.owner(int(data.guards.held[watched.row])), ""
     if isinstance(watched, PatchDepth):
-        body = "object" if watched.body == ON_OBJECT else "arm"
+        body = "object" if watched.body == model.object_number else "arm"
     return RunEvent(time, kind, arm=arm, contact=contact.name, body=body)

@@ -306,7 +306,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
         robot=_model_name(spec),
         urdf=str(arm.files.urdf),
         tool=None if spec.tool is None else _model_name(spec.tool),
-        tip=arm.files.tip,
+        tip=arm.files.tips[""],
         base_position=position,
         base_quaternion_xyzw=quaternion,
         joints=dict(arm.joint_units),
@@ -373,11 +373,14 @@ def _limit_facts(joint: JointSpec, frame: JointFrame, coordinates: np.ndarray) -
 
 
 def _joint_coordinates(data: Data) -> dict[str, np.ndarray]:
-    """What :func:`write_relative` writes, of each joint by its arm."""
-    frames, b, coordinates = data.model.constants.joint_frames, data.arrays, {}
-    for i, arm in enumerate(data.model.arm_names):
-        coordinates[arm] = np.zeros(9)
-        write_relative(frames[i], b.bodies.links[i], b.bodies.object, np.zeros(6), coordinates[arm])
+    """What :func:`write_relative` writes, of each connection."""
+    model, coordinates = data.model, {}
+    for c, owner in enumerate(model.layout.owners):
+        if owner in model.connections:
+            coordinates[owner] = np.zeros(9)
+            first, second = (data.arrays.bodies.motion[body] for body in model.bodies_of(owner))
+            frame = model.constants.joint_frames[c]
+            write_relative(frame, first, second, np.zeros(6), coordinates[owner])
     return coordinates
 
 

@@ -168,7 +168,7 @@ def _add_arm(spec: Any, system: System, name: str) -> None:
         body.add_joint(type=kind, axis=link.axis)
         bodies.append(body)
     joint = next(joint for joint in system.scene.joints if joint.arm == name)
-    _add_sites(bodies[arm.tip_joint], "arm", joint, tip_frame(system, name))
+    _add_sites(bodies[arm.tip.joint], "arm", joint, tip_frame(system, name))
 
 
 def _add_object(spec: Any, system: System) -> None:

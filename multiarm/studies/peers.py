@@ -235,7 +235,7 @@ def links(arm: Arm) -> Iterator[Link]:
 def tip_frame(system: System, name: str) -> np.ndarray:
     """The frame of an arm's joint to the object on the link of its tip, shape (4, 4)."""
     arm, tip = system.arms[name], np.eye(4)
-    tip[:3, :3], tip[:3, 3] = arm.tip_rotation, arm.tip_translation
+    tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
     return tip @ system.frames[name].on_tip
 
 

@@ -118,7 +118,7 @@ class PinocchioPeer(Peer):
             label = f"{name}/{number}"
             joint = self.model.addJoint(parent, _joint(link), link.placement, label)
             self.model.appendBodyToJoint(joint, link.inertia, pin.SE3.Identity())
-        return before + arm.tip_joint, pin.SE3(tip_frame(self.system, name))
+        return before + arm.tip.joint, pin.SE3(tip_frame(self.system, name))
 
     def new_constraint_data(self) -> pin.StdVec_RigidConstraintData:
         """What the algorithms keep for each constraint, as made anew."""

@@ -299,7 +299,7 @@ def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
     ends: dict[int, list[np.ndarray]] = {joint: [] for joint in range(model.njoints)}
     for child in range(1, model.njoints):
         ends[model.parents[child]].append(model.jointPlacements[child].translation)
-    ends[arm.tip_joint].append(arm.tip_translation)
+    ends[arm.tip.joint].append(arm.tip.translation)
     base = arm.files.base[:3, 3]  # joint 0 is the world, where the arm begins at its base
     starts = {joint: base if joint == 0 else np.zeros(3) for joint in joints}
     reach = sum(np.linalg.norm(e - starts.get(j, base * (j == 0))) for j in ends for e in ends[j])

@@ -84,7 +84,7 @@ def test_drift_is_the_tips_acceleration_without_joint_accelerations(moving):
 
 def test_base_placement_moves_the_whole_arm(moving):
     arm, q, _ = moving
-    files = ArmFiles(arm.files.urdf, (), np.eye(4), arm.files.tip, arm.files.locked)
+    files = ArmFiles(arm.files.urdf, (), np.eye(4), arm.files.tips, arm.files.locked)
     at_origin = Arm("arm", files).tip_pose(q)
     np.testing.assert_allclose(arm.tip_pose(q), BASE @ at_origin, atol=1e-14)
 

@@ -37,7 +37,7 @@ EPS = np.finfo(float).eps
 
 def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
     base = np.eye(4) if base is None else base
-    return Arm(name, ArmFiles(Path(urdf), (), base, tip, locked or {}), rotor_inertia=rotors)
+    return Arm(name, ArmFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors)
 
 
 def random_base(rng, away=1.0) -> np.ndarray:
@@ -496,7 +496,7 @@ def unusual(panda, *joints) -> Arm:
     for parent, joint in joints:
         joint_of(model, parent, joint)
     panda.model, panda.joint_names = model, tuple(model.names[1:])
-    panda.dof, panda.tip_joint = model.nv, model.njoints - 1
+    panda.dof, panda.tip.joint = model.nv, model.njoints - 1
     return panda
 
 
@@ -507,7 +507,7 @@ def test_what_no_table_describes_is_said_in_words(panda):
     with refused(ModelError):
         unusual(panda, (0, hinge), (1, hinge), (1, hinge)).structure()
     short = unusual(panda, (0, hinge), (1, hinge))
-    short.tip_joint = 1
+    short.tip.joint = 1
     with refused(ModelError):
         short.structure()
 

@@ -307,7 +307,7 @@ def overlap(system: ma.System) -> float:
     depth = 0.0
     for name, links in models.items():
         for points, joint in links:
-            if joint < system.arms[name].tip_joint:
+            if joint < system.arms[name].tip.joint:
                 inside = hull.contains((points - pose[:3, 3]) @ pose[:3, :3])
                 depth = max(depth, float(inside.any()))
         for other in models.keys() - {name}:

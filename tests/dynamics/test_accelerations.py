@@ -287,7 +287,7 @@ def test_inverse_dynamics_of_the_result_gives_the_torques_back(block_system, rng
         terms, model = ev.contact_terms[name], arm.model.copy()
         frame = pin.ReferenceFrame.LOCAL
         data, q_pin = model.createData(), arm.configuration(q)
-        J = pin.computeFrameJacobian(model, data, q_pin, arm.tip_frame_id, frame)
+        J = pin.computeFrameJacobian(model, data, q_pin, arm.tip.frame_id, frame)
         tau = pin.rnea(model, data, q_pin, v, a) - J.T @ terms.W_m @ lam
         np.testing.assert_allclose(tau, ev.joint_torques[name], atol=1e-9)
         on_object += terms.W_o @ lam

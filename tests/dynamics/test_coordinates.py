@@ -22,9 +22,9 @@ from multiarm.dynamics.variables import stacked_vectors
 from multiarm.errors import ModelError
 
 LAYOUTS = [
-    Layout(("arm",), (0, 3), (0, 2)),
-    Layout(("left", "right"), (0, 3, 5), (0, 2, 4), frames=3),
-    Layout((), (0,), (0,), frames=2),
+    Layout(("arm",), (0, 3), ("arm",), (0, 2), (0,)),
+    Layout(("left", "right"), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3),
+    Layout((), (0,), (), (0,), (), frames=2),
 ]
 ROUNDING = 1e-14
 layouts = pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: f"{layout.frames} frames")
@@ -90,7 +90,7 @@ def test_parts_are_views_of_the_stacked_vectors(layout):
     assert np.array_equal(layout.joint_positions(q), np.arange(7 * layout.frames, layout.nq))
     for i in range(len(layout.names)):
         first, last = layout.first_joint[i : i + 2]
-        assert np.array_equal(v[layout.of_arm(i)], layout.joint_rates(v)[first:last])
+        assert np.array_equal(v[layout.of_robot(i)], layout.joint_rates(v)[first:last])
 
 
 @layouts

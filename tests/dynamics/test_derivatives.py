@@ -414,7 +414,7 @@ def test_parameters_of_the_object_and_places_of_contacts(rng):
     found = ma.derivatives(system(), 0.3, state, parameters=True)
     rows = slice(found.rows["contact_forces"].stop)
     base = np.array([1.2, 0.1, -0.2, 2.4, 0.15, 2.9])
-    turned = system().arms["left"].tip_rotation  # of the tip against the link that carries it
+    turned = system().arms["left"].tip.rotation  # of the tip against the link that carries it
 
     def along(change):
         return difference(lambda h: answers(system(**change(h)), state))
@@ -427,7 +427,7 @@ def test_parameters_of_the_object_and_places_of_contacts(rng):
     columns = np.hstack([found.matrix[rows][:, found.columns[name]] for name in names])
     assert_equal(columns, np.array(expected).T, 1e-8)
     # a displacement of the contacts about the tip, in its axes, is one of the link in its own
-    tip = system().arms["left"].tip_translation
+    tip = system().arms["left"].tip.translation
     of_left = found.matrix[rows, found.columns["placements"]][:, :6]
     for k, axis in enumerate(np.eye(6)):
         own = np.r_[turned @ axis[:3], turned @ axis[3:]]

@@ -98,7 +98,7 @@ def test_wrenches_are_those_of_evaluations(case):
 def test_tips_are_those_of_pinocchio(case):
     _, system, run = case
     for arm_name, own in system.arms.items():
-        model, data, tip = own.model, own.model.createData(), own.tip_frame_id
+        model, data, tip = own.model, own.model.createData(), own.tip.frame_id
         for k in (0, 19, 40):
             q = own.configuration(run.joint_positions[arm_name][k])
             v = run.joint_velocities[arm_name][k].copy()

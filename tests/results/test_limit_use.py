@@ -161,7 +161,7 @@ def test_shares_of_a_run_are_those_of_inverse_dynamics_and_the_file(box):
             model = arm.model.copy()
             data = model.createData()
             axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            J = pin.computeFrameJacobian(model, data, q, arm.tip_frame_id, axes)
+            J = pin.computeFrameJacobian(model, data, q, arm.tip.frame_id, axes)
             force, moment = np.split(-ev.wrenches[name], 2)  # at the object's centre
             lever = run.object_position[k] - arm.tip_pose(q)[:3, 3]
             wrench = np.concatenate([force, moment + np.cross(lever, force)])

@@ -158,9 +158,9 @@ def test_its_shapes_are_where_mujoco_has_them(hard):
     data.qpos[:] = 0.3
     mujoco.mj_forward(model, data)
     joint, R, place = arm.link("tcp")  # a site
-    assert joint == arm.tip_joint
-    np.testing.assert_array_equal(R, arm.tip_rotation)
-    np.testing.assert_array_equal(place, arm.tip_translation)
+    assert joint == arm.tip.joint
+    np.testing.assert_array_equal(R, arm.tip.rotation)
+    np.testing.assert_array_equal(place, arm.tip.translation)
     own = arm.model.createData()
     pin.forwardKinematics(arm.model, own, data.qpos)
     pose = own.oMi[shape.parentJoint] * shape.placement

@@ -80,7 +80,7 @@ def test_accelerations_and_forces_are_those_of_the_whole_robot(moving):
     b[n : n + 6] = *(body.mass * model.gravity.linear), *(-np.cross(omega, inertia @ omega))
     pin.forwardKinematics(model, data, q, v, np.zeros(n))
     for k, arm in enumerate(moving.arms.values()):
-        tip = model.getFrameId(arm.files.tip)
+        tip = model.getFrameId(arm.files.tips[""])
         J = pin.computeFrameJacobian(model, data, q, tip, axes)
         place = data.oMf[tip].translation.copy()
         drift = pin.getFrameClassicalAcceleration(model, data, tip, axes).vector
@@ -109,7 +109,7 @@ def test_tip_jacobians_are_columns_of_that_of_the_whole_robot(moving):
     model, data, axes = whole.model, whole.data, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     q = whole.vector(state.joint_positions)
     for arm, tip in moving.kinematics().tips.items():
-        frame = model.getFrameId(moving.arms[arm].files.tip)
+        frame = model.getFrameId(moving.arms[arm].files.tips[""])
         J = pin.computeFrameJacobian(model, data, q, frame, axes)
         columns = [model.joints[model.getJointId(name)].idx_v for name in tip.joint_names]
         np.testing.assert_allclose(tip.jacobian, J[:, columns], atol=1e-12)

@@ -46,8 +46,8 @@ def test_an_arm_alone_has_no_choice_and_holds_what_is_appended_to_it(box):
     at_tip = X.inverse().act(state.object_position)
     model = arm.model.copy()
     load = pin.Inertia(2.0, at_tip, np.eye(3))
-    place = pin.SE3(arm.tip_rotation, arm.tip_translation)
-    model.appendBodyToJoint(arm.tip_joint, load, place)
+    place = pin.SE3(arm.tip.rotation, arm.tip.translation)
+    model.appendBodyToJoint(arm.tip.joint, load, place)
     torques = pin.computeGeneralizedGravity(model, model.createData(), q)
     shares = dict(zip(arm.joint_names, np.abs(torques) / model.effortLimit, strict=True))
     assert capacity.possible and capacity.verdict == "carried"
@@ -63,7 +63,7 @@ def least_by_wrenches(system):
     for k, (name, arm) in enumerate(system.arms.items()):
         q, model = state.joint_positions[name], arm.model.copy()
         data, axes = model.createData(), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = pin.computeFrameJacobian(model, data, q, arm.tip_frame_id, axes)
+        J = pin.computeFrameJacobian(model, data, q, arm.tip.frame_id, axes)
         gravity = pin.computeGeneralizedGravity(model, data, q) / model.effortLimit
         # tau = g + J^T w, w on the object at the tip
         slope = J.T / model.effortLimit[:, None]

@@ -41,8 +41,8 @@ def constrained_forest(system, state, contact_type):
         X_OT = X_WO.inverse() * pin.SE3(arm.tip_pose(state.joint_positions[name]))
         models.append(
             pin.RigidConstraintModel(
-                contact_type, model, joint + arm.tip_joint,
-                pin.SE3(arm.tip_rotation, arm.tip_translation), at, X_OT, pin.ReferenceFrame.LOCAL,
+                contact_type, model, joint + arm.tip.joint,
+                pin.SE3(arm.tip.rotation, arm.tip.translation), at, X_OT, pin.ReferenceFrame.LOCAL,
             )
         )  # fmt: skip
         datas.append(models[-1].createData())

@@ -1,0 +1,143 @@
+"""Connections: pairs of bodies between which rows act, and the links that take part.
+
+The forces of a connection act on its second body; the first one takes the opposite.  The bodies are
+the links of robots that carry tips, the object and the world, in this order in
+``BodyVariables.motion``.  A row's column of W is not zero for the joints of the *chain* of its link
+only, those between the base and the link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.arm import AT_REST, Arm, ArmTip
+from multiarm.geometry.records import Placement
+from multiarm.jit.structs import Ints1, Ints2
+from multiarm.scene.values import SURROUNDINGS
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of a scene: the object, the world, or the link of a robot's tip.
+
+    Attributes
+    ----------
+    kind : str
+        ``OBJECT``, ``WORLD`` or ``LINK``.
+    robot, tip : str
+        Of a link: the robot, and the key of ``Arm.tips``.
+    """
+
+    kind: str
+    robot: str = ""
+    tip: str = ""
+
+
+LINK, OBJECT, WORLD = "link", "object", "world"
+THE_OBJECT, THE_WORLD = Body(OBJECT), Body(WORLD)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Two bodies that are connected; forces act on the second one."""
+
+    name: str
+    first: Body
+    second: Body
+
+    @property
+    def robot(self) -> str:
+        """The robot that takes part; empty where there is none."""
+        return self.first.robot or self.second.robot
+
+    @property
+    def on_object(self) -> bool:
+        """Whether its second body is the object."""
+        return self.second.kind == OBJECT
+
+
+class Links(NamedTuple):
+    """The L links that carry tips, robot after robot."""
+
+    robot: Ints1  # (L,)
+    chain: Ints2  # (L, d) the robot's joints that move a link, counted from 0
+    length: Ints1  # (L,) of the chain
+
+
+class Connections(NamedTuple):
+    """The C owners of rows; those that are no connection have the world as both bodies."""
+
+    robot: Ints1  # (C,) block
+    first: Ints1  # (C,) bodies
+    second: Ints1
+    # (C,) whether the chain of the first body is the whole robot, and no second one has columns
+    serial: Ints1
+
+
+class BodyTable:
+    """Numbers of the bodies of a scene.
+
+    Parameters
+    ----------
+    arms : mapping of str to Arm
+    links : sequence of (int, int)
+        See ``ArmBackends.links``.
+    """
+
+    def __init__(self, arms: Mapping[str, Arm], links: Sequence[tuple[int, int]]) -> None:
+        self.arms, self._robots, self._links = arms, list(arms), list(links)
+
+    @property
+    def count(self) -> int:
+        """Number of bodies."""
+        return len(self._links) + 2
+
+    def number(self, body: Body) -> int:
+        """Place of a body among all."""
+        if body.kind == LINK:
+            joint = self.tip(body).joint
+            return self._links.index((self._robots.index(body.robot), joint))
+        return len(self._links) + (0 if body.kind == OBJECT else 1)
+
+    def tip(self, body: Body) -> ArmTip:
+        """The tip of a link; a frame at rest for another body."""
+        return self.arms[body.robot].tips[body.tip] if body.kind == LINK else AT_REST
+
+    def placement(self, body: Body) -> Placement:
+        """The frame of a body's tip in that of the joint that moves it."""
+        tip = self.tip(body)
+        return tip.rotation, tip.translation
+
+    def links(self) -> Links:
+        """The links with their chains."""
+        dofs = [arm.dof for arm in self.arms.values()]
+        chains = np.zeros((len(self._links), max(dofs)), dtype=np.int64)
+        length = np.zeros(len(self._links), dtype=np.int64)
+        arms = list(self.arms.values())
+        for k, (robot, joint) in enumerate(self._links):
+            chain = next(t.chain for t in arms[robot].tips.values() if t.joint == joint)
+            chains[k, : chain.size], length[k] = chain, chain.size
+        return Links(np.array([robot for robot, _ in self._links], dtype=np.int64), chains, length)
+
+    def connections(
+        self, owners: Sequence[str], blocks: Sequence[int], pairs: Mapping[str, Connection]
+    ) -> Connections:
+        """The table of the owners of rows, whose blocks are given."""
+        world = self.number(THE_WORLD)
+        numbers = np.full((4, len(owners)), world, dtype=np.int64)
+        table = Connections(*numbers)
+        table.robot[:], table.serial[:] = blocks, 0
+        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, THE_WORLD, THE_OBJECT), **pairs}
+        for c, owner in enumerate(owners):
+            if owner not in pairs:
+                continue
+            pair = pairs[owner]
+            table.first[c], table.second[c] = self.number(pair.first), self.number(pair.second)
+            if pair.first.kind == LINK and pair.second.kind != LINK:
+                chain, arm = self.tip(pair.first).chain, self.arms[pair.robot]
+                table.serial[c] = int(chain.size == arm.dof)
+        return table
