@@ -199,7 +199,7 @@ def test_a_relative_motion_left_free_takes_the_least_effort(rng):
     assert abs(turning["left"][0]) > 1e-3
     arm = system.arms["left"].terms(state.joint_positions["left"], state.joint_velocities["left"])
     term = ev.contact_terms["left"]
-    R = arm.tip.rotation
+    R = arm.tip_rotation
     free = null_space((np.kron(np.eye(2), R) @ term.W_m).T @ arm.J)
     assert free.shape == (6, 1)
     effort = free.T @ arm.M @ found.joint_accelerations["left"]
