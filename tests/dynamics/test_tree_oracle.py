@@ -32,6 +32,7 @@ from tree_oracle import (
     solve_minimal,
     worst_gap,
 )
+from tree_scenes import cart_scene, gripper_loops, gripper_scene
 
 import multiarm as ma
 from multiarm.scene import find_robot, parse_scene
@@ -238,3 +239,54 @@ def test_the_mass_of_a_base_is_added_to_the_root_link(tmp_path, rng):
     assert list(heavy.names)[1:] == ["base_x", "base_y", "base_z", "base_yaw"]
     assert pin.crba(plain, plain.createData(), q)[0, 0] == pytest.approx(total)
     np.testing.assert_allclose(difference, np.diag([7.0, 7.0, 7.0, 3.0]), atol=1e-12)
+
+
+# --- the project's robots with several tips ------------------------------------------------------
+
+
+def test_a_gripper_of_four_bar_linkages_has_one_degree_of_freedom():
+    """All joints of the gripper turn alike, so one equation of motion remains of six."""
+    scene = gripper_scene(0.3)
+    scene["joints"] = gripper_loops("gripper")
+    speed = 0.8
+    scene["robots"]["gripper"]["velocity"] = [speed] * 6
+    trees = read_tree_scene(scene)
+    state, torques = start_of(scene, trees), constant_torques(scene, trees)
+    assert worst_gap(trees, state) < 1e-12
+    model = trees.robots["gripper"].model
+    alike = np.ones(6)
+    M = np.triu(pin.crba(model, model.createData(), 0.3 * alike))
+    M = M + np.triu(M, 1).T
+    bias = pin.nonLinearEffects(model, model.createData(), 0.3 * alike, speed * alike)
+    acceleration = alike @ (torques["gripper"] - bias) / (alike @ M @ alike)
+    solution = solve_minimal(trees, state, torques)
+    assert (solution.rank, solution.rows) == (5, 11)
+    np.testing.assert_allclose(
+        solution.joint_accelerations["gripper"], acceleration * alike, rtol=1e-10
+    )
+
+
+@pytest.mark.parametrize("scene_of", [gripper_scene, cart_scene])
+def test_scenes_of_our_robots_agree_in_both_coordinates(scene_of):
+    scene = scene_of()
+    trees = read_tree_scene(scene)
+    state, torques = start_of(scene, trees), constant_torques(scene, trees)
+    assert worst_gap(trees, state) < 1e-12
+    minimal = solve_minimal(trees, state, torques)
+    assert disagreement(minimal, solve_maximal(trees, state, torques)) < AGREEMENT
+
+
+def test_a_gripper_that_holds_a_box_is_rigid_and_carries_its_weight():
+    """The left pad's weld, the right pad's face and the coupling leave no motion."""
+    scene = gripper_scene()
+    trees = read_tree_scene(scene)
+    state, torques = start_of(scene, trees), constant_torques(scene, trees)
+    solution = solve_minimal(trees, state, torques)
+    np.testing.assert_allclose(solution.object_acceleration, 0.0, atol=1e-9)
+    sum_of_wrenches = sum(
+        solution.wrench(f"gripper/{side}", state.object_position) for side in ("left", "right")
+    )
+    weight = scene["object"]["mass"] * 9.81
+    np.testing.assert_allclose(sum_of_wrenches, [0, 0, weight, 0, 0, 0], atol=1e-9)
+    squeeze = solution.wrenches["gripper/left"][0]
+    assert abs(squeeze) > 1.0

@@ -41,7 +41,7 @@ ROWS = {
 WELL_CONDITIONED = 3e-3
 EXACTLY_REDUNDANT = 1e-9
 ATTEMPTS = 200
-# Robots of example-robot-data with several tips.
+# Robots with several tips: our cart, the others of example-robot-data.
 REAL_ROBOTS: dict[str, dict[str, str]] = {
     "baxter": {"left": "left_gripper", "right": "right_gripper"},
     "tiago_dual": {"left": "arm_left_7_link", "right": "arm_right_7_link"},
@@ -53,6 +53,7 @@ REAL_ROBOTS: dict[str, dict[str, str]] = {
         "index": "link_3.0_tip", "middle": "link_7.0_tip", "ring": "link_11.0_tip",
         "thumb": "link_15.0_tip",
     },
+    "dual_arm_cart": {"left": "left_tool", "right": "right_tool"},
     "anymal_b_simple": {"lf": "LF_FOOT", "rf": "RF_FOOT", "lh": "LH_FOOT", "rh": "RH_FOOT"},
 }  # fmt: skip
 
@@ -176,7 +177,7 @@ def _with_moves(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any
 
 
 def real_robot(rng: np.random.Generator, name: str, *, moves: bool = False) -> dict[str, Any]:
-    """The table of a robot of example-robot-data."""
+    """The table of one of ``REAL_ROBOTS``."""
     spec = {"robot": name, "base": pose_of(random_pose(rng, 0.5)), "tips": dict(REAL_ROBOTS[name])}
     return _with_moves(rng, spec) if moves else spec
 
@@ -224,8 +225,14 @@ def free_displacement(rng: np.random.Generator, joint: dict[str, Any]) -> pin.SE
     return pin.SE3(axes @ turn @ axes.T, axes @ shift)
 
 
-def close_joints(rng: np.random.Generator, scene: dict[str, Any], state: TreeState) -> None:
-    """Put the frames of all joints where the bodies are, with a free displacement."""
+Displaced = Callable[[dict[str, Any]], tuple[pin.SE3, pin.SE3]]
+
+
+def close_joints(scene: dict[str, Any], state: TreeState, displaced: Displaced) -> None:
+    """Put the frames of joints without ``at`` where the bodies are.
+
+    ``displaced`` gives the joint frame on FIRST, and its pose in that on SECOND.
+    """
     trees = read_tree_scene(scene)
     motions = Motions(trees, state)
 
@@ -233,11 +240,11 @@ def close_joints(rng: np.random.Generator, scene: dict[str, Any], state: TreeSta
         frame = motions.frame(end)
         return pin.SE3(frame.rotation, frame.origin)
 
-    for joint in scene["joints"]:
+    for joint in (joint for joint in scene["joints"] if "at" not in joint):
         first, second = (pose(body_frame(end, trees.robots)) for end in connection_ends(joint))
-        on_first = random_pose(rng, 0.05)
+        on_first, displacement = displaced(joint)
         joint["at_tip" if "arm" in joint else "at_first"] = pose_of(on_first)
-        S = first * on_first * free_displacement(rng, joint).inverse()
+        S = first * on_first * displacement.inverse()
         joint["at"] = pose_of(second.inverse() * S)
 
 
@@ -281,7 +288,11 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
     scene = {"name": "random trees", "gravity": [0.0, 0.0, -9.81], **scene}
     with_posture(rng, scene)
     trees = read_tree_scene(scene)
-    close_joints(rng, scene, start_of(scene, trees))
+    close_joints(
+        scene,
+        start_of(scene, trees),
+        lambda joint: (random_pose(rng, 0.05), free_displacement(rng, joint)),
+    )
     trees = read_tree_scene(scene)
     drawn = start_of(scene, trees)
     motions = Motions(trees, drawn)
@@ -392,7 +403,7 @@ def mimic_joints(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
 
 
 def real_robots(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
-    """A robot of example-robot-data, sometimes on a base that moves, and a random one."""
+    """A robot that people use, sometimes on a base that moves, and a random one."""
     name = str(rng.choice(list(REAL_ROBOTS)))
     robots = {
         "real": real_robot(rng, name, moves=bool(rng.random() < 0.5)),

@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 from tree_models import OBJECT, WORLD, BodyFrame, Mimic, TreeScene, TreeState, joint_motion
 
 # Singular values of `A` below this part of the largest count as zero.
-RANK_TOLERANCE = 1e-9
+RANK_TOLERANCE = 1e-7
 # Part of a wrench that internal forces may change where it counts as determined.
 UNIQUE_TOLERANCE = 1e-7
 
