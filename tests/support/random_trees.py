@@ -21,6 +21,7 @@ from tree_models import (
     OBJECT,
     WORLD,
     BodyFrame,
+    Connection,
     TreeScene,
     TreeState,
     body_frame,
@@ -284,10 +285,15 @@ def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
 
 
 def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | None:
-    """The scene with postures, closed joints and velocities; None where it is ill-conditioned."""
+    """The scene with postures, closed joints and velocities.
+
+    None where it is ill-conditioned, or a joint is between bodies that cannot move apart.
+    """
     scene = {"name": "random trees", "gravity": [0.0, 0.0, -9.81], **scene}
     with_posture(rng, scene)
     trees = read_tree_scene(scene)
+    if any(_is_rigid(connection) for connection in trees.connections):
+        return None
     close_joints(
         scene,
         start_of(scene, trees),
@@ -310,6 +316,13 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
     for name, spec in robot_tables(scene).items():
         spec["velocity"] = state.joint_velocities[name].tolist()
     return RandomTrees(scene, trees, state, constant_torques(scene, trees))
+
+
+def _is_rigid(connection: Connection) -> bool:
+    """Whether a link that no joint moves takes part, or both ends are on one body."""
+    first, second = connection.first, connection.second
+    resting = any(end.body != WORLD and end.joint == 0 for end in (first, second))
+    return resting or first[:2] == second[:2]
 
 
 def arms_only(rng: np.random.Generator, folder: Path) -> dict[str, Any]:

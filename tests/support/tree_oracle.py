@@ -159,9 +159,9 @@ def solve_minimal(
     a, multipliers, loose = solve_equations(equations)
     bodies = motions.coordinates.bodies
     free = motions.frame(BodyFrame(OBJECT, 1, pin.SE3.Identity()))
-    found = free.jacobian @ a + free.bias
+    acceleration = free.jacobian @ a + free.bias
     rates = {name: a[bodies[name]] for name in trees.robots}
-    return _solution(trees, found, rates, couplings, multipliers, loose)
+    return _solution(trees, acceleration, rates, couplings, multipliers, loose)
 
 
 def solve_maximal(
@@ -303,10 +303,9 @@ def resting(n: int, X: pin.SE3) -> FrameMotion:
 
 
 class ModelMotion(NamedTuple):
-    """A Pinocchio model at a state: its inertia (n, n), bias (n,) and velocity (n,)."""
+    """A Pinocchio model at a state: its inertia (n, n), bias (n,), velocity (n,), position (nq,)."""
 
     model: pin.Model
-    data: pin.Data
     inertia: np.ndarray
     bias: np.ndarray
     velocity: np.ndarray
@@ -337,12 +336,11 @@ class Motions:
         n = self.coordinates.size
         if on_body.body == WORLD:
             return resting(n, on_body.placement)
-        moved, joint = self.models[on_body.body], on_body.joint
-        model, data, axes = moved.model.copy(), None, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        at = model.addFrame(
-            pin.Frame("end", joint, on_body.placement, pin.FrameType.OP_FRAME), False
-        )
-        data, v = model.createData(), moved.velocity
+        moved, axes = self.models[on_body.body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        model, v = moved.model.copy(), moved.velocity
+        end = pin.Frame("end", on_body.joint, on_body.placement, pin.FrameType.OP_FRAME)
+        at = model.addFrame(end, False)
+        data = model.createData()
         pin.forwardKinematics(model, data, moved.position, v, np.zeros(model.nv))
         pin.updateFramePlacements(model, data)
         J = np.zeros((6, n))
@@ -362,7 +360,7 @@ def _moved(model: pin.Model, q: np.ndarray, v: np.ndarray) -> ModelMotion:
     data = model.createData()
     M = np.triu(pin.crba(model, data, q))
     bias = pin.nonLinearEffects(model, data, q, v).copy()
-    return ModelMotion(model, data, M + np.triu(M, 1).T, bias, v, q)
+    return ModelMotion(model, M + np.triu(M, 1).T, bias, v, q)
 
 
 # --- maximal coordinates -------------------------------------------------------------------------
@@ -403,7 +401,7 @@ class Links:
         return self.models[name].inertias[i]
 
     def motion(self, name: str, i: int) -> FrameMotion:
-        """Of a link's own frame."""
+        """Of the frame of a link."""
         if i == 0:
             return resting(self.coordinates.size, pin.SE3.Identity())
         pose = self._minimal.frame(BodyFrame(name, i, pin.SE3.Identity()))
