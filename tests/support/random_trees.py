@@ -55,6 +55,7 @@ REAL_ROBOTS: dict[str, dict[str, str]] = {
         "thumb": "link_15.0_tip",
     },
     "dual_arm_cart": {"left": "left_tool", "right": "right_tool"},
+    "panda": {"left": "panda_leftfinger", "right": "panda_rightfinger"},
     "anymal_b_simple": {"lf": "LF_FOOT", "rf": "RF_FOOT", "lh": "LH_FOOT", "rh": "RH_FOOT"},
 }  # fmt: skip
 

@@ -303,7 +303,7 @@ def resting(n: int, X: pin.SE3) -> FrameMotion:
 
 
 class ModelMotion(NamedTuple):
-    """A Pinocchio model at a state: its inertia (n, n), bias (n,), velocity (n,), position (nq,)."""
+    """A Pinocchio model at a state: inertia (n, n), bias and velocity (n,), position (nq,)."""
 
     model: pin.Model
     inertia: np.ndarray
