@@ -69,6 +69,7 @@ _TIPS = {
     "pr2": ("l_gripper_tool_frame", "r_gripper_tool_frame"),
     "talos": ("gripper_left_base_link", "gripper_right_base_link"),
     "tiago_dual": ("hand_left_tool_link", "hand_right_tool_link"),
+    "four_bar_gripper": ("left_pad", "right_pad"),
 }
 # The frame of a flange, which ROS-Industrial prescribes for all arms.
 _FLANGE = "tool0"

@@ -97,6 +97,10 @@ TIPS = {
 }
 
 
+# A tool without joints, and a gripper of which one finger mimics the other.
+NOT_ALL_ARMS = ("corner_gripper", "four_bar_gripper")
+
+
 def test_own_robots_and_all_that_are_installed_are_available():
     """Every URDF file of example-robot-data in which Pinocchio finds a movable joint."""
     assert set(OWN) | set(TIPS) <= set(ROBOTS)
@@ -126,7 +130,7 @@ def test_every_robot_loads_and_its_tips_end_the_same_chains_as_in_pinocchio(name
         chain = [joint.name for joint in outline.movable(tip)]
         parent = model.frames[model.getFrameId(tip, pin.FrameType.BODY)].parentJoint
         assert chain == [model.names[i] for i in model.supports[parent] if i > 0]
-        assert outline.ends_an_arm(tip) or name == "corner_gripper"
+        assert outline.ends_an_arm(tip) or name in NOT_ALL_ARMS
     limits = {joint.name: joint for joint in outline.joints}
     for joint, joint_name in zip(model.joints[1:], list(model.names)[1:], strict=True):
         if joint.nq == 1:
@@ -500,6 +504,37 @@ def test_planar_arms_stay_in_their_plane():
         np.testing.assert_allclose(data.oMf[tip].translation, [reach, 0, 0], atol=1e-15)
         pin.framesForwardKinematics(model, data, np.linspace(0.3, 1.0, joints))
         assert data.oMf[tip].translation[2] == 0.0
+
+
+@pytest.mark.parametrize("position", [0.0, 0.25, 0.7])
+def test_linkages_of_the_gripper_are_closed_where_all_joints_have_one_position(position):
+    """Pads stay parallel, 71 mm apart where it is open, and meet where it is closed."""
+    model = pin.buildModelFromUrdf(str(find_robot("four_bar_gripper").urdf))
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.full(6, position))
+    poses = {frame.name: X for frame, X in zip(model.frames, data.oMf, strict=True)}
+    for side in ("left", "right"):
+        follower, coupler = poses[f"{side}_follower_end"], poses[f"{side}_coupler"]
+        np.testing.assert_allclose(follower.translation, coupler.translation, atol=1e-15)
+        np.testing.assert_allclose(follower.rotation[:, 2], coupler.rotation[:, 2], atol=1e-15)
+    left, right = poses["left_pad"], poses["right_pad"]
+    np.testing.assert_allclose(left.rotation[:, 2], [-1.0, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(right.rotation[:, 2], [1.0, 0.0, 0.0], atol=1e-15)
+    opening = 2.0 * 0.055 * math.sin(0.7 - position)
+    np.testing.assert_allclose(left.translation - right.translation, [opening, 0, 0], atol=1e-15)
+
+
+def test_arms_of_the_cart_mirror_each_other():
+    model = pin.buildModelFromUrdf(str(find_robot("dual_arm_cart").urdf))
+    arm = [0.4, 0.7, -1.2, 0.5, 0.3, -0.9]
+    q, data, mirror = np.array([0.1, *arm, *arm]), model.createData(), np.diag([1.0, -1.0, 1.0])
+    pin.framesForwardKinematics(model, data, q)
+    left, right = (data.oMf[model.getFrameId(f"{side}_tool")] for side in ("left", "right"))
+    np.testing.assert_allclose(mirror @ right.translation, left.translation, atol=1e-14)
+    np.testing.assert_allclose(mirror @ right.rotation[:, 2], left.rotation[:, 2], atol=1e-14)
+    gravity = pin.computeGeneralizedGravity(model, data, q)
+    # pan and roll turn about mirrored axes, so that equal positions and equal torques mirror
+    np.testing.assert_allclose(gravity[1:7], gravity[7:], atol=1e-12)
 
 
 @pytest.mark.parametrize("index", [0, 1])

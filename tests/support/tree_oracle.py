@@ -1,0 +1,436 @@
+r"""Forward dynamics of scenes whose robots are trees, by dense algebra, in two ways.
+
+*Minimal coordinates.*  Pinocchio's inertia, bias and frame Jacobians of each robot and of the
+object as a free body; the equations of the joints as rows ``A``.
+
+*Maximal coordinates.*  Every link is a free body under Newton's and Euler's laws; the joints of the
+robots are equations too, and the rates of the joints are coordinates without inertia, on which
+drives and mimic couplings act.  Of Pinocchio this uses where the links are and how they move only.
+
+Both solve
+
+.. math:: M a - A^T \lambda = f, \qquad A a = -\gamma
+
+with the multipliers of least norm among connections and mimic couplings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from joint_equations import Equation, FrameMotion, displacement, joint_equations, skew
+from scipy.linalg import block_diag
+from tree_models import OBJECT, WORLD, BodyFrame, Mimic, TreeScene, TreeState, joint_motion
+
+# Singular values of `A` below this part of the largest count as zero.
+RANK_TOLERANCE = 1e-7
+# Part of a wrench that internal forces may change where it counts as determined.
+UNIQUE_TOLERANCE = 1e-7
+
+
+@dataclass(frozen=True)
+class TreeSolution:
+    """Accelerations and wrenches of a scene.
+
+    Attributes
+    ----------
+    object_acceleration : ndarray, shape (6,)
+        Of the centre of mass (classical), and angular acceleration, world axes.
+    joint_accelerations : dict robot -> ndarray, shape (n,)
+    wrenches : dict connection -> ndarray, shape (6,)
+        On the SECOND body, about the origin of the joint frame on SECOND, world axes.
+    origins : dict connection -> ndarray, shape (3,)
+        Those origins.
+    unique : dict connection -> bool
+        Whether the equations determine the wrench.
+    mimic_torques : dict (robot, follower) -> float
+        Torque of a mimic coupling on its follower.
+    rank, rows : int
+        Independent equations of connections and mimic couplings, and all of them.
+    """
+
+    object_acceleration: np.ndarray
+    joint_accelerations: dict[str, np.ndarray]
+    wrenches: dict[str, np.ndarray]
+    origins: dict[str, np.ndarray]
+    unique: dict[str, bool]
+    mimic_torques: dict[tuple[str, str], float]
+    rank: int
+    rows: int
+
+    def wrench(self, connection: str, about: np.ndarray) -> np.ndarray:
+        """The wrench on SECOND about another point."""
+        force, moment = np.split(self.wrenches[connection], 2)
+        return np.concatenate([force, moment + np.cross(self.origins[connection] - about, force)])
+
+
+def disagreement(solution: TreeSolution, peer: TreeSolution) -> float:
+    """Largest difference of accelerations and of determined wrenches, by the largest of each."""
+    pairs = [(solution.object_acceleration, peer.object_acceleration)]
+    pairs += [
+        (a, peer.joint_accelerations[name]) for name, a in solution.joint_accelerations.items()
+    ]
+    wrenches = [
+        (wrench, peer.wrench(name, solution.origins[name]))
+        for name, wrench in solution.wrenches.items()
+        if solution.unique[name]
+    ]
+    return max(_relative_difference(pairs), _relative_difference(wrenches))
+
+
+def evaluation_errors(solution: TreeSolution, evaluation: Any, about: np.ndarray) -> float:
+    """Largest error of an ``ma.Evaluation``, as :func:`disagreement` measures it.
+
+    Its wrenches act on SECOND, about the point ``about`` (3,) [m].
+    """
+    pairs = [(solution.object_acceleration, evaluation.object_acceleration)]
+    for name, accelerations in solution.joint_accelerations.items():
+        pairs.append((accelerations, evaluation.joint_accelerations[name]))
+    wrenches = [
+        (solution.wrench(name, about), evaluation.wrenches[name])
+        for name, unique in solution.unique.items()
+        if unique
+    ]
+    return max(_relative_difference(pairs), _relative_difference(wrenches))
+
+
+def _relative_difference(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    if not pairs:
+        return 0.0
+    left, right = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    return float(np.max(np.abs(left - right), initial=0.0) / max(np.max(np.abs(left)), 1.0))
+
+
+class Couplings(NamedTuple):
+    """Rows of all connections, then of mimic couplings.
+
+    A : (m, n), by generalised velocities; gamma : (m,), second derivatives at zero accelerations
+    on_second : dict connection -> (6, rows), wrench on SECOND by multipliers
+    origins : dict connection -> (3,)
+    rows : dict connection -> slice
+    values : (m,), of the equations themselves
+    """
+
+    A: np.ndarray
+    gamma: np.ndarray
+    on_second: dict[str, np.ndarray]
+    origins: dict[str, np.ndarray]
+    rows: dict[str, slice]
+    values: np.ndarray
+
+
+class Equations(NamedTuple):
+    """M a - A^T lambda = f, A a = -gamma; ``internal`` rows hold the robots' links together."""
+
+    M: np.ndarray
+    f: np.ndarray
+    internal: np.ndarray
+    internal_gamma: np.ndarray
+    couplings: Couplings
+
+
+class Coordinates(NamedTuple):
+    """Where the coordinates of each body, and the rates of each robot's joints, are."""
+
+    bodies: dict[str, slice]
+    rates: dict[str, slice]
+    size: int
+
+
+# --- solutions -----------------------------------------------------------------------------------
+
+
+def solve_minimal(
+    trees: TreeScene, state: TreeState, torques: dict[str, np.ndarray]
+) -> TreeSolution:
+    """In joint coordinates, from Pinocchio's inertias and Jacobians."""
+    motions = Motions(trees, state)
+    blocks = [motions.models[name] for name in motions.names]
+    M, f = block_diag(*[block.inertia for block in blocks]), [-block.bias for block in blocks]
+    for k, name in enumerate(motions.names):
+        if name in torques:
+            f[k] = f[k] + torques[name]
+    n = motions.coordinates.size
+    couplings = collect(trees, motions.frame, n, motions.coordinates.rates)
+    equations = Equations(M, np.concatenate(f), np.zeros((0, n)), np.zeros(0), couplings)
+    a, multipliers, loose = solve_equations(equations)
+    bodies = motions.coordinates.bodies
+    free = motions.frame(BodyFrame(OBJECT, 1, pin.SE3.Identity()))
+    acceleration = free.jacobian @ a + free.bias
+    rates = {name: a[bodies[name]] for name in trees.robots}
+    return _solution(trees, acceleration, rates, couplings, multipliers, loose)
+
+
+def solve_maximal(
+    trees: TreeScene, state: TreeState, torques: dict[str, np.ndarray]
+) -> TreeSolution:
+    """With every link a free body, and every joint an equation."""
+    links = Links(trees, state)
+    n = links.coordinates.size
+    M, f = np.zeros((n, n)), np.zeros(n)
+    for (name, i), place in links.places.items():
+        M[place, place], f[place] = newton_euler(
+            links.inertia(name, i), links.motion(name, i), trees.gravity
+        )
+    for name, row in torques.items():
+        f[links.coordinates.rates[name]] = row
+    internal = [links.joint_rows(name, i) for name, i in links.places if name != OBJECT]
+    rows, gamma = (np.concatenate(part) for part in zip(*internal, strict=True))
+    couplings = collect(trees, links.frame, n, links.coordinates.rates)
+    a, multipliers, loose = solve_equations(Equations(M, f, rows, gamma, couplings))
+    rates = {name: a[links.coordinates.rates[name]] for name in trees.robots}
+    return _solution(trees, a[links.places[OBJECT, 1]], rates, couplings, multipliers, loose)
+
+
+def _solution(trees, object_acceleration, rates, couplings, multipliers, loose) -> TreeSolution:
+    wrenches, unique = {}, {}
+    for name, rows in couplings.rows.items():
+        wrenches[name] = couplings.on_second[name] @ multipliers[rows]
+        change = np.linalg.norm(couplings.on_second[name] @ loose[rows])
+        unique[name] = bool(change < UNIQUE_TOLERANCE)
+    mimics = [(name, mimic.joint) for name, mimic in mimics_of(trees)]
+    first = multipliers.size - len(mimics)
+    return TreeSolution(
+        object_acceleration, rates, wrenches, couplings.origins, unique,
+        dict(zip(mimics, multipliers[first:].tolist(), strict=True)),
+        multipliers.size - loose.shape[1], multipliers.size,
+    )  # fmt: skip
+
+
+def solve_equations(equations: Equations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Accelerations, multipliers of the couplings of least norm, and what may be added to them.
+
+    Accelerations follow in the null space of all rows, multipliers from the balance that is left.
+
+    Returns
+    -------
+    a : ndarray, shape (n,)
+    multipliers : ndarray, shape (m,)
+    loose : ndarray, shape (m, k)
+        Orthonormal multipliers that balance each other.
+    """
+    M, f, internal, internal_gamma, couplings = equations
+    A = np.vstack([internal, couplings.A])
+    gamma = np.concatenate([internal_gamma, couplings.gamma])
+    U, values, Vt = np.linalg.svd(A)
+    rank = int(np.sum(values > RANK_TOLERANCE * max(np.max(values, initial=0.0), 1.0)))
+    N, row_space = Vt[rank:].T, Vt[:rank].T
+    a = -row_space @ ((U[:, :rank].T @ gamma) / values[:rank])
+    a = a + N @ np.linalg.solve(N.T @ M @ N, N.T @ (f - M @ a))
+    every = U[:, :rank] @ ((row_space.T @ (M @ a - f)) / values[:rank])
+    left = U[len(internal) :, rank:]  # multipliers of couplings that balance each other
+    multipliers = every[len(internal) :]
+    loose = np.linalg.qr(left)[0] if left.size else left
+    return a, multipliers - loose @ (loose.T @ multipliers), loose
+
+
+def worst_gap(trees: TreeScene, state: TreeState) -> float:
+    """Largest value of an equation of the connections and mimic couplings [m, or a cosine]."""
+    motions = Motions(trees, state)
+    couplings = collect(trees, motions.frame, motions.coordinates.size, motions.coordinates.rates)
+    gaps = [
+        positions[joints.index(mimic.joint)]
+        - mimic.multiplier * positions[joints.index(mimic.leader)]
+        - mimic.offset
+        for name, mimic in mimics_of(trees)
+        for positions, joints in [(state.joint_positions[name], trees.robots[name].joints)]
+    ]
+    return float(np.max(np.abs([*couplings.values, *gaps]), initial=0.0))
+
+
+def least_change(trees: TreeScene, state: TreeState) -> TreeState:
+    """The state with the nearest velocities that keep connections and mimic couplings."""
+    motions = Motions(trees, state)
+    n, bodies = motions.coordinates.size, motions.coordinates.bodies
+    A = collect(trees, motions.frame, n, motions.coordinates.rates).A
+    v = np.concatenate([motions.models[name].velocity for name in motions.names])
+    v = v - np.linalg.pinv(A, rcond=RANK_TOLERANCE) @ (A @ v)
+    free = motions.frame(BodyFrame(OBJECT, 1, pin.SE3.Identity()))
+    return TreeState(
+        state.object_position, state.object_quaternion_xyzw, free.jacobian @ v,
+        state.joint_positions, {name: v[bodies[name]] for name in trees.robots},
+    )  # fmt: skip
+
+
+# --- rows of connections -------------------------------------------------------------------------
+
+
+def mimics_of(trees: TreeScene) -> list[tuple[str, Mimic]]:
+    return [(name, mimic) for name, robot in trees.robots.items() for mimic in robot.mimics]
+
+
+def collect(trees: TreeScene, frame, n: int, rates: dict[str, slice]) -> Couplings:
+    """Rows of all connections and mimic couplings; ``frame`` gives the motion of a BodyFrame."""
+    A, gamma, values, on_second, origins, rows = [], [], [], {}, {}, {}
+    for connection in trees.connections:
+        first, second = frame(connection.first), frame(connection.second)
+        equations = joint_equations(connection.joint, first, second)
+        rows[connection.name] = slice(len(A), len(A) + len(equations))
+        origins[connection.name] = second.origin
+        on_second[connection.name] = np.array([e.by_second for e in equations]).T
+        for equation in equations:
+            row, bias = row_of(equation, first, second)
+            A.append(row)
+            gamma.append(bias)
+            values.append(equation.value)
+    for name, mimic in mimics_of(trees):
+        row, joints = np.zeros(n), trees.robots[name].joints
+        at = np.arange(n)[rates[name]]
+        row[at[joints.index(mimic.joint)]] += 1.0
+        row[at[joints.index(mimic.leader)]] -= mimic.multiplier
+        A.append(row)
+        gamma.append(0.0)
+    return Couplings(
+        np.array(A).reshape(-1, n), np.array(gamma), on_second, origins, rows, np.array(values)
+    )
+
+
+def row_of(equation: Equation, first: FrameMotion, second: FrameMotion) -> tuple[np.ndarray, float]:
+    """The equation by generalised velocities, and its second derivative at zero accelerations."""
+    row = equation.by_first @ first.jacobian + equation.by_second @ second.jacobian
+    bias = equation.bias + equation.by_first @ first.bias + equation.by_second @ second.bias
+    return row, float(bias)
+
+
+def resting(n: int, X: pin.SE3) -> FrameMotion:
+    return FrameMotion(X.rotation, X.translation, np.zeros(6), np.zeros((6, n)), np.zeros(6))
+
+
+# --- minimal coordinates -------------------------------------------------------------------------
+
+
+class ModelMotion(NamedTuple):
+    """A Pinocchio model at a state: inertia (n, n), bias and velocity (n,), position (nq,)."""
+
+    model: pin.Model
+    inertia: np.ndarray
+    bias: np.ndarray
+    velocity: np.ndarray
+    position: np.ndarray
+
+
+class Motions:
+    """The motion of frames in generalised coordinates: the object's, then those of the robots."""
+
+    def __init__(self, trees: TreeScene, state: TreeState):
+        self.names = (OBJECT, *trees.robots)
+        q = np.concatenate([state.object_position, state.object_quaternion_xyzw])
+        R = pin.XYZQUATToSE3(q).rotation
+        linear, angular = np.split(state.object_twist, 2)
+        v = np.concatenate([R.T @ linear, R.T @ angular])
+        self.models = {OBJECT: _moved(trees.object_model, q, v)}
+        for name, robot in trees.robots.items():
+            rates = state.joint_velocities[name]
+            self.models[name] = _moved(robot.model, state.joint_positions[name], rates)
+        ends = np.cumsum([0, *[self.models[name].velocity.size for name in self.names]]).tolist()
+        places = {
+            name: slice(*bounds)
+            for name, *bounds in zip(self.names, ends[:-1], ends[1:], strict=True)
+        }
+        self.coordinates = Coordinates(places, places, ends[-1])
+
+    def frame(self, on_body: BodyFrame) -> FrameMotion:
+        n = self.coordinates.size
+        if on_body.body == WORLD:
+            return resting(n, on_body.placement)
+        moved, axes = self.models[on_body.body], pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        model, v = moved.model.copy(), moved.velocity
+        end = pin.Frame("end", on_body.joint, on_body.placement, pin.FrameType.OP_FRAME)
+        at = model.addFrame(end, False)
+        data = model.createData()
+        pin.forwardKinematics(model, data, moved.position, v, np.zeros(model.nv))
+        pin.updateFramePlacements(model, data)
+        J = np.zeros((6, n))
+        J[:, self.coordinates.bodies[on_body.body]] = pin.computeFrameJacobian(
+            model, data, moved.position, at, axes
+        ).reshape(6, -1)
+        return FrameMotion(
+            data.oMf[at].rotation.copy(),
+            data.oMf[at].translation.copy(),
+            pin.getFrameVelocity(model, data, at, axes).vector.copy(),
+            J,
+            pin.getFrameClassicalAcceleration(model, data, at, axes).vector.copy(),
+        )
+
+
+def _moved(model: pin.Model, q: np.ndarray, v: np.ndarray) -> ModelMotion:
+    data = model.createData()
+    M = np.triu(pin.crba(model, data, q))
+    bias = pin.nonLinearEffects(model, data, q, v).copy()
+    return ModelMotion(model, M + np.triu(M, 1).T, bias, v, q)
+
+
+# --- maximal coordinates -------------------------------------------------------------------------
+
+
+def newton_euler(
+    inertia: pin.Inertia, motion: FrameMotion, gravity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia (6, 6) and force (6,) of a free body in the twist of its frame, world axes.
+
+    With ``c`` from the frame's origin to the centre of mass,
+    ``m (a + dw x c + w x (w x c)) = m g`` and ``I dw + w x I w = 0`` about that centre.
+    """
+    R, w = motion.rotation, motion.twist[3:]
+    c, moments = R @ inertia.lever, R @ inertia.inertia @ R.T
+    to_centre = np.eye(6)
+    to_centre[:3, 3:] = -skew(c)
+    M = to_centre.T @ block_diag(inertia.mass * np.eye(3), moments) @ to_centre
+    force = inertia.mass * (gravity - np.cross(w, np.cross(w, c)))
+    return M, to_centre.T @ np.concatenate([force, -np.cross(w, moments @ w)])
+
+
+class Links:
+    """Links as free bodies: six coordinates a link, then the rates of all joints."""
+
+    def __init__(self, trees: TreeScene, state: TreeState):
+        self.models = {OBJECT: trees.object_model}
+        self.models |= {name: robot.model for name, robot in trees.robots.items()}
+        self._minimal = Motions(trees, state)
+        keys = [(name, i) for name, model in self.models.items() for i in range(1, model.njoints)]
+        self.places = {key: slice(6 * k, 6 * k + 6) for k, key in enumerate(keys)}
+        rates, end = {}, 6 * len(keys)
+        for name, robot in trees.robots.items():
+            rates[name] = slice(end, end := end + len(robot.joints))
+        self.coordinates = Coordinates({}, rates, end)
+
+    def inertia(self, name: str, i: int) -> pin.Inertia:
+        return self.models[name].inertias[i]
+
+    def motion(self, name: str, i: int) -> FrameMotion:
+        """Of the frame of a link."""
+        if i == 0:
+            return resting(self.coordinates.size, pin.SE3.Identity())
+        pose = self._minimal.frame(BodyFrame(name, i, pin.SE3.Identity()))
+        J = np.zeros((6, self.coordinates.size))
+        J[:, self.places[name, i]] = np.eye(6)
+        return pose._replace(jacobian=J, bias=np.zeros(6))
+
+    def frame(self, on_body: BodyFrame) -> FrameMotion:
+        link = (
+            resting(self.coordinates.size, pin.SE3.Identity())
+            if on_body.body == WORLD
+            else self.motion(on_body.body, on_body.joint)
+        )
+        return link.placed(on_body.placement.homogeneous)
+
+    def joint_rows(self, name: str, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Five rows that hold link ``i`` on its parent, and one that is the rate of the joint."""
+        model = self.models[name]
+        child = self.motion(name, i)
+        parent = self.motion(name, model.parents[i]).placed(model.jointPlacements[i].homogeneous)
+        slides, axis = joint_motion(model.joints[i])
+        kind = "prismatic" if slides else "revolute"
+        held = joint_equations({"kind": kind, "axis": axis}, child, parent)
+        if slides:
+            along = displacement(child, parent, axis)
+        else:  # w_C - w_P = s rate: the turning of s adds (w_P x s) . s rate = 0
+            s = np.concatenate([np.zeros(3), parent.rotation @ axis])
+            along = Equation(0.0, s, -s, 0.0)
+        rows = [row_of(equation, child, parent) for equation in [*held, along]]
+        A, gamma = np.array([row for row, _ in rows]), np.array([bias for _, bias in rows])
+        A[-1, self.coordinates.rates[name].start + i - 1] = -1.0
+        return A, gamma

@@ -1,0 +1,99 @@
+"""Two scenes of the project's robots with several tips, as plain tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from random_trees import close_joints
+from tree_models import pose_of, read_tree_scene, start_of
+
+DOWN = [0.0, 0.0, -9.81]
+# Torso [m], then each arm [rad]: hands 1.1 m above the floor, one in front of each shoulder.
+CART_ARM = [0.0, 0.6, -1.5, 0.0, 0.9, 0.0]
+CART_POSTURE = [0.0, 0.0, 0.0, 0.15, *CART_ARM, *CART_ARM]
+
+
+def together(scene: dict[str, Any]) -> dict[str, Any]:
+    """The scene with its joints, where they have no ``at``, at the frames of the FIRST bodies."""
+    here = pin.SE3.Identity()
+    close_joints(scene, start_of(scene, read_tree_scene(scene)), lambda joint: (here, here))
+    return scene
+
+
+def gripper_loops(name: str) -> list[dict[str, Any]]:
+    """The hinges that close the two linkages of a ``four_bar_gripper``."""
+    return [
+        {
+            "between": [f"{name}/{side}_follower_end", f"{name}/{side}_coupler"],
+            "kind": "revolute",
+            "name": f"{side}_loop",
+            "at": pose_of(pin.SE3.Identity()),
+            "at_first": pose_of(pin.SE3.Identity()),
+        }
+        for side in ("left", "right")
+    ]
+
+
+def gripper_scene(position: float = 0.3) -> dict[str, Any]:
+    """A four-bar gripper above a box, which its left pad holds and its right pad touches."""
+    pads = {"left": "left_pad", "right": "right_pad"}
+    scene = {
+        "name": "four-bar gripper",
+        "gravity": DOWN,
+        "object": {
+            "shape": {"box": [0.04, 0.05, 0.08]},
+            "mass": 0.4,
+            "inertia": [0.4 / 12.0 * square for square in (0.0089, 0.0080, 0.0041)],
+            "pose": {"xyz": [0.0, 0.0, 0.34]},
+        },
+        "robots": {
+            "gripper": {
+                "robot": "four_bar_gripper",
+                "base": {"xyz": [0.0, 0.0, 0.5], "rpy": [np.pi, 0.0, 0.0]},
+                "tips": pads,
+                "posture": [position] * 6,
+            }
+        },
+        "joints": [
+            {"arm": "gripper/left", "kind": "weld"},
+            {"arm": "gripper/right", "kind": "planar"},
+            *gripper_loops("gripper"),
+        ],
+        "control": {"kind": "constant", "torques": {"gripper": [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]}},
+    }
+    return together(scene)
+
+
+def cart_scene() -> dict[str, Any]:
+    """A cart that moves in the plane and holds a box with both hands."""
+    moves = {"moves": ["x", "y", "yaw"], "mass": 10.0, "inertia": [0.5, 0.5, 0.8]}
+    return together(
+        {
+            "name": "cart with a box",
+            "gravity": DOWN,
+            "object": {
+                "shape": {"box": [0.3, 0.5, 0.2]},
+                "mass": 3.0,
+                "inertia": [0.0725, 0.0325, 0.085],
+                "pose": {"xyz": [0.8, 0.0, 1.1]},
+            },
+            "robots": {
+                "cart": {
+                    "robot": "dual_arm_cart",
+                    "base": moves,
+                    "tips": {"left": "left_tool", "right": "right_tool"},
+                    "posture": CART_POSTURE,
+                }
+            },
+            "joints": [
+                {"arm": "cart/left", "kind": "weld"},
+                {"arm": "cart/right", "kind": "weld"},
+            ],
+            "control": {
+                "kind": "constant",
+                "torques": {"cart": [1.0, -2.0, 0.5, 320.0, *[0.5] * 12]},
+            },
+        }
+    )
