@@ -41,7 +41,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
 from multiarm.public import public_names
-from multiarm.scene import ResolvedArm
+from multiarm.scene import ResolvedRobot
 from multiarm.scene.values import SURROUNDINGS
 
 
@@ -60,7 +60,7 @@ class Model:
     """Constants of a compiled scene."""
 
     arms: dict[str, Arm]
-    robots: dict[str, ResolvedArm]  # each arm of the scene with its robot
+    robots: dict[str, ResolvedRobot]  # each arm of the scene with its robot
     joints: dict[str, Joint]
     backends: ArmBackends  # they compute the terms of the arms; every Data takes a copy
     layout: Layout
