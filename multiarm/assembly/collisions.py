@@ -104,13 +104,13 @@ class Surroundings:
 
     def __init__(self, scene: Scene, arms: Mapping[str, Arm]) -> None:
         self._arms = arms
-        places = {joint.arm: joint.at_tip.matrix()[:3, 3] for joint in scene.joints}
+        places = {joint.arm: joint.on_first.matrix()[:3, 3] for joint in scene.joints}
         self._links = {name: _links(arm, places[name]) for name, arm in arms.items()}
         self._object = object_hull(scene.object)
         if self._object is not None:
             self._object.computeLocalAABB()
         self._object_pose = pin.SE3(scene.object.pose.matrix())
-        self._robots = {name: scene.robot_of(name) for name in arms}
+        self._robots = {name: scene.group_of(name) for name in arms}
 
     def placed(
         self, name: str, posture: np.ndarray, standing: bool, shift: np.ndarray | None = None

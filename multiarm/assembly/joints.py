@@ -127,7 +127,7 @@ def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Join
         if joint.at is not None:
             pose = joint.at.matrix()
         else:
-            frame = arm.tip_pose(posture) @ joint.at_tip.matrix() @ joint.start_shift()
+            frame = arm.tip_pose(posture) @ joint.on_first.matrix() @ joint.start_shift()
             pose = np.linalg.solve(scene.object.pose.matrix(), frame)
         contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
     except ModelError as error:

@@ -235,7 +235,7 @@ def joint_places(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray
     assert joint.at is not None, "the joint has a place"
     turn = np.eye(4)
     turn[:3, :3] = basis(joint.z_axis)
-    on_tip = joint.at_tip.matrix() @ joint.start_shift() @ turn
+    on_tip = joint.on_first.matrix() @ joint.start_shift() @ turn
     return on_tip, scene.object.pose.matrix() @ joint.at.matrix() @ turn
 
 

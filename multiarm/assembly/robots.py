@@ -16,9 +16,10 @@ from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
 from multiarm.dynamics.connections import Body
 from multiarm.dynamics.system import System
-from multiarm.errors import ModelError
+from multiarm.errors import ModelError, SceneError
 from multiarm.geometry.records import Placement
-from multiarm.scene import ArmSpec, ResolvedArm, Scene, resolve_arm
+from multiarm.scene import ArmSpec, ResolvedRobot, Scene, resolve_arm
+from multiarm.scene.faults import fault_at
 from multiarm.scene.joint_values import SOLVE
 
 
@@ -26,7 +27,7 @@ from multiarm.scene.joint_values import SOLVE
 class Robots:
     """The arms of a scene."""
 
-    resolved: dict[str, ResolvedArm]
+    resolved: dict[str, ResolvedRobot]
     arms: dict[str, Arm]
     postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
     shared: tuple[str, ...]  # arms that another system has too
@@ -65,7 +66,14 @@ def with_bases(scene: Scene) -> Scene:
 
 
 def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> Robots:
-    """The arms of a scene; equal ones of ``like`` are shared, missing postures sought."""
+    """The arms of a scene; equal ones of ``like`` are shared, missing postures sought.
+
+    Raises
+    ------
+    SceneError
+        Where robots have several tips, or joints connect other bodies than arms and the object.
+    """
+    _refuse_what_is_not_simulated(scene)
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         arms_of_like = like.scene.arms
@@ -73,20 +81,28 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             name
             for name, spec in scene.arms.items()
             if arms_of_like.get(name) == spec
-            and like.scene.robot_of(name).lock == scene.robot_of(name).lock
+            and like.scene.group_of(name).lock == scene.group_of(name).lock
         )
     resolved, arms = {}, {}
     for name, spec in scene.arms.items():
         if like is not None and name in shared:
             resolved[name], arms[name] = like.model.robots[name], like.arms[name]
         else:
-            locked = spec.model_copy(update={"lock": scene.robot_of(name).lock | spec.lock})
+            locked = spec.model_copy(update={"lock": scene.group_of(name).lock | spec.lock})
             resolved[name] = resolve_arm(locked, scene.folder)
             arms[name] = _make_arm(name, scene, resolved[name])
     postures = {name: arm.posture for name, arm in resolved.items()}
     if seek:
         postures |= find_postures(scene, arms, postures)
     return Robots(resolved, arms, postures, shared)
+
+
+def _refuse_what_is_not_simulated(scene: Scene) -> None:
+    wider: list[tuple[str | int, ...]] = [("robots", name) for name in scene.robots]
+    wider += [("joints", k) for k, joint in enumerate(scene.joints) if joint.between is not None]
+    if wider:
+        remedy = "is not simulated yet; write arms, each with one joint to the object"
+        raise SceneError([fault_at(where, remedy) for where in wider])
 
 
 def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:
@@ -101,7 +117,7 @@ def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Ar
     return ArmBackends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
 
 
-def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
+def arm_files(spec: ArmSpec, resolved: ResolvedRobot) -> ArmFiles:
     """Files and frames of an arm of a scene."""
     tool = spec.tool
     return ArmFiles(
@@ -118,7 +134,7 @@ def arm_files(spec: ArmSpec, resolved: ResolvedArm) -> ArmFiles:
     )
 
 
-def _make_arm(name: str, scene: Scene, resolved: ResolvedArm) -> Arm:
+def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
     spec, rotors = scene.arms[name], scene.effects.rotor_inertia
     inertia = None
     if rotors is not None:

@@ -125,7 +125,7 @@ def _sample(model: type[Joint]) -> tuple[list[Contact], FreeMotions | None]:
     """
     try:
         joint = model.sample()
-        on_object = joint.at_tip.matrix() @ joint.start_shift()  # the object's frame at the tip's
+        on_object = joint.on_first.matrix() @ joint.start_shift()  # the object's frame at the tip's
         contacts = joint.placed(on_object)
     except MultiarmError:
         return [], None

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
 
 FILE = "a file"
+_MOST_TIPS = 4  # in an example of a robot with several
 
 
 def robots(
@@ -30,11 +31,11 @@ def robots(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """List the robots that a scene may name: 'robot:' below an arm, with their tips.
+    """List the robots that a scene may name: 'robot:' below an arm or a robot, with their tips.
 
     Where a robot has one tip, an arm need not name it. Where it has several, since it has several
-    arms or no link is usual, 'tip:' names one of them, or another link that joints carry. The
-    number of joints is that from the base to a tip.
+    arms or no link is usual, 'tip:' names one of them, or another link that joints carry; 'tips:'
+    of one robot names several. The number of joints is that from the base to a tip.
 
     The JSON has the key robots: a table by name, with what is shown here.
     """
@@ -116,7 +117,12 @@ def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) ->
     if entry.tip is None:
         further_tips = f"  # or {', '.join(ends[1:])}" if ends[1:] else ""
         lines.append(f"    tip: {ends[0]}{further_tips}")
-    return "\n".join([*lines, "    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}"])
+    lines.append("    base: {xyz: [0, 0, 0], rpy: [0, 0, 0]}")
+    if ends[1:]:
+        tips = ", ".join(f"tip_{k}: {end}" for k, end in enumerate(ends[:_MOST_TIPS], start=1))
+        lines.append("# or one robot with several tips, whose trunk may move:")
+        lines.append(f"# robots: {{{entry.name}: {{{_named(entry)}, tips: {{{tips}}}}}}}")
+    return "\n".join(lines)
 
 
 def _named(entry: RobotEntry) -> str:

@@ -42,7 +42,7 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
 from multiarm.public import public_names
-from multiarm.scene import ResolvedArm
+from multiarm.scene import ResolvedRobot
 from multiarm.scene.values import SURROUNDINGS
 
 
@@ -61,7 +61,7 @@ class Model:
     """Constants of a compiled scene."""
 
     arms: dict[str, Arm]  # the robots
-    robots: dict[str, ResolvedArm]  # their files and starts
+    robots: dict[str, ResolvedRobot]  # their files and starts
     connections: dict[str, Connection]  # of bodies, by name: the joints of the scene
     joints: dict[str, Joint]  # of the connections
     backends: ArmBackends  # they compute the terms of the arms; every Data takes a copy

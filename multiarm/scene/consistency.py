@@ -1,11 +1,10 @@
-"""Whether the parts of a scene fit together: arms and their joints, control, effects, method.
+"""Whether the parts of a scene fit together: robots and joints, control, effects, method.
 
 Parts that are not valid by themselves are left out, so that one error has all faults.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,23 +12,36 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from multiarm.errors import USER_FAULTS, Fault, ModelError
-from multiarm.scene.arms import ArmSpec, Examination, examine_arm
+from multiarm.scene.arms import ArmSpec, examine_arm
 from multiarm.scene.code import located
+from multiarm.scene.connections import WrittenJoint, connection_faults, links_of
 from multiarm.scene.control import ControlKind, ControlSpec
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import Parts, fault_at, listed, place, unknown
-from multiarm.scene.joint_values import KnownArm
+from multiarm.scene.faults import Parts, fault_at, listed, place
+from multiarm.scene.joint_values import KnownRobot, KnownRobots
 from multiarm.scene.joints import pushing_kinds
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import called
+from multiarm.scene.resolution import Examination, resting_warning
+from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
-from multiarm.scene.trunks import Robot, robot_faults, robot_warnings, robots_of
+from multiarm.scene.trunks import ArmGroup, arm_groups, group_faults, group_warnings
 
-Examined = dict[str, tuple[ArmSpec, Examination]]
-"""Arms by name, with their facts."""
+
+@dataclass(frozen=True)
+class ExaminedRobot:
+    """An arm or robot as it was examined, with the links that joints name beside its tips."""
+
+    spec: ArmSpec | RobotSpec
+    links: tuple[str, ...]
+    examination: Examination
+
+
+Examined = dict[tuple[str, str], ExaminedRobot]
+"""By 'arms' or 'robots', and the name."""
 Context = dict[str, Any]
 """What validators know: where relative paths start, whether code may be named, user classes."""
 
@@ -44,8 +56,10 @@ class ValidParts:
         All arms that are written, valid or not.
     arms : dict
         The valid ones.
+    robot_names, robots
+        The same of robots with several tips.
     joints : list
-        The arms that they name, as they are written, whatever that is; None where there is none.
+        What they connect, as it is written, whatever that is; None where there is no list.
     pushes : bool
         Whether there may be contacts that only push.
     rubs : bool
@@ -54,7 +68,9 @@ class ValidParts:
 
     arm_names: list[str] | None
     arms: dict[str, ArmSpec]
-    joints: list[Any] | None
+    robot_names: list[str] | None
+    robots: dict[str, RobotSpec]
+    joints: list[WrittenJoint] | None
     pushes: bool
     rubs: bool
     object: ObjectSpec | None
@@ -65,14 +81,16 @@ class ValidParts:
     @classmethod
     def of(cls, data: Mapping[str, Any], context: Context) -> ValidParts:
         """Find the valid parts of ``data``, which may hold instances or plain tables."""
-        arms, joints = data.get("arms"), data.get("joints")
+        joints = data.get("joints")
         joints = joints if isinstance(joints, (list, tuple)) else None
-        written = arms if isinstance(arms, Mapping) else {}
-        valid = {str(name): _valid(ArmSpec, arm, context) for name, arm in written.items()}
+        arm_names, arms = _named(ArmSpec, data.get("arms", {}), context)
+        robot_names, robots = _named(RobotSpec, data.get("robots", {}), context)
         return cls(
-            arm_names=[str(name) for name in arms] if isinstance(arms, Mapping) else None,
-            arms={name: arm for name, arm in valid.items() if arm is not None},
-            joints=None if joints is None else [_arm(joint) for joint in joints],
+            arm_names=arm_names,
+            arms=arms,
+            robot_names=robot_names,
+            robots=robots,
+            joints=None if joints is None else [WrittenJoint.of(joint) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             rubs=any(_rubs(joint) for joint in joints or ()),
             object=_valid(ObjectSpec, data.get("object"), context),
@@ -94,8 +112,12 @@ def _valid(kind: Any, data: Any, context: Context) -> Any:
         return None
 
 
-def _arm(joint: Any) -> Any:
-    return joint.get("arm") if isinstance(joint, Mapping) else getattr(joint, "arm", None)
+def _named(kind: Any, table: Any, context: Context) -> tuple[list[str] | None, dict[str, Any]]:
+    """All names of a table, None where it is none, and its entries that are valid."""
+    if not isinstance(table, Mapping):
+        return None, {}
+    parts = {str(name): _valid(kind, data, context) for name, data in table.items()}
+    return list(parts), {name: part for name, part in parts.items() if part is not None}
 
 
 def _pushes(joint: Any) -> bool:
@@ -115,12 +137,12 @@ def _rubs(joint: Any) -> bool:
 
 @dataclass
 class Findings:
-    """Faults and warnings, complete lines; the arms as they were examined, the robots."""
+    """Faults and warnings, complete lines; robots as they were examined; groups of arms."""
 
     faults: list[Fault] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     examined: Examined = field(default_factory=dict)
-    robots: tuple[Robot, ...] = ()
+    arm_groups: tuple[ArmGroup, ...] = ()
 
     def add_fault(self, parts: Parts, text: str) -> None:
         """A problem at a place."""
@@ -137,66 +159,88 @@ def check(parts: ValidParts, examined: Examined) -> Findings:
     Arms that were examined already, and are written as they were, are not examined again.
     """
     findings = Findings()
-    if parts.arm_names is not None:
-        _check_connections(parts.arm_names, parts.joints, findings)
-    _check_arms(parts.arms, examined, findings)
+    _examine(parts, examined, findings)
+    known = _known_robots(parts, findings)
+    if known is not None:
+        _check_connections(parts, known, findings)
+    _report_robots(parts, findings)
     mesh = None if parts.object is None else parts.object.shape.mesh
     if mesh is not None and not mesh.file.is_file():
         findings.add_warning(
             ("object", "shape", "mesh", "file"),
             f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
         )
-    if parts.arm_names is not None:
-        examinations = {name: examination for name, (_, examination) in findings.examined.items()}
-        arms = {name: examinations.get(name, KnownArm()) for name in parts.arm_names}
-        _check_control(parts.control, arms, findings)
-        _check_effects(parts, arms, findings)
+    if known is not None:
+        _check_control(parts.control, known, findings)
+        _check_effects(parts, known, findings)
     return findings
 
 
-def _check_connections(names: list[str], connected: list[Any] | None, findings: Findings) -> None:
-    if not names:
-        findings.add_fault(("arms",), "a scene needs at least one arm, such as {left: {...}}")
+def _examine(parts: ValidParts, examined: Examined, findings: Findings) -> None:
+    """Look at arms and robots, where they are not written as they were."""
+    specs: dict[tuple[str, str], ArmSpec | RobotSpec] = {
+        **{("arms", name): arm for name, arm in parts.arms.items()},
+        **{("robots", name): robot for name, robot in parts.robots.items()},
+    }
+    for key, spec in specs.items():
+        links: tuple[str, ...] = ()
+        if isinstance(spec, RobotSpec):
+            links = tuple(links_of(key[1], parts.joints or (), spec.tips))
+        before = examined.get(key)
+        if before is not None and (before.spec, before.links) == (spec, links):
+            findings.examined[key] = before
+            continue
+        looked = examine_arm(spec) if isinstance(spec, ArmSpec) else examine_robot(spec, links)
+        findings.examined[key] = ExaminedRobot(spec, links, looked)
+
+
+def _known_robots(parts: ValidParts, findings: Findings) -> KnownRobots | None:
+    """All arms and robots that are written; None where their names are not known."""
+    if parts.arm_names is None or parts.robot_names is None:
+        return None
+    known = {name: KnownRobot() for name in parts.arm_names}
+    known |= {name: KnownRobot(tips={}) for name in parts.robot_names}
+    known |= {name: entry.examination for (_, name), entry in findings.examined.items()}
+    names = (joint.connection for joint in parts.joints or ())
+    return KnownRobots(known, [name for name in names if name is not None])
+
+
+def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings) -> None:
+    if not known:
+        text = "a scene needs at least one arm, such as {left: {...}}, or a robot, below 'robots'"
+        findings.add_fault(("arms",), text)
         return
-    for index, arm in enumerate(connected or ()):
-        if arm is not None and not (isinstance(arm, str) and arm in names):
-            findings.add_fault(("joints", index, "arm"), unknown("arm", arm, names))
-    counts = Counter(arm for arm in connected or () if isinstance(arm, str))
-    all_named = connected is not None and None not in connected
-    for name in names:
-        if counts[name] == 0 and all_named:
-            findings.add_fault(
-                ("joints",),
-                f"arm {name!r} is connected by no joint; add one, such as "
-                f"{{arm: {name}, kind: weld}}, or remove the arm",
-            )
-        if counts[name] > 1:
-            findings.add_fault(
-                ("joints",),
-                f"arm {name!r} has {counts[name]} joints; one joint per arm is possible, list "
-                "their contacts in one joint of kind 'contacts'",
-            )
+    for name in parts.robot_names or ():
+        if name in (parts.arm_names or ()):
+            text = f"an arm is named {name!r} too; give the robot another name"
+            findings.add_fault(("robots", name), text)
+    for where, text in connection_faults(parts.joints, known):
+        findings.add_fault(where, text)
 
 
-def _check_arms(arms: Mapping[str, ArmSpec], examined: Examined, findings: Findings) -> None:
-    examinations = {}
-    for name, spec in arms.items():
-        before, known = examined.get(name, (None, None))
-        examinations[name] = known if known is not None and before == spec else examine_arm(spec)
-        findings.examined[name] = spec, examinations[name]
-        for where, text in examinations[name].faults:
-            findings.add_fault(("arms", name, *where), text)
-    findings.robots = robots_of(arms, examinations)
-    for robot in findings.robots:
-        for where, text in robot_faults(robot, arms, examinations):
+def _report_robots(parts: ValidParts, findings: Findings) -> None:
+    """Faults and warnings of each arm, of arms on one trunk, and of each robot."""
+    for key, entry in findings.examined.items():
+        for where, text in entry.examination.faults:
+            findings.add_fault((*key, *where), text)
+    looked = {key: entry.examination for key, entry in findings.examined.items()}
+    of_arms = {name: looked["arms", name] for name in parts.arms}
+    findings.arm_groups = arm_groups(parts.arms, of_arms)
+    for group in findings.arm_groups:
+        for where, text in group_faults(group, parts.arms, of_arms):
             findings.add_fault(where, text)
-        for where, text in robot_warnings(robot, arms, examinations):
+        for where, text in group_warnings(group, parts.arms, of_arms):
             findings.add_warning(where, text)
+    for name in parts.robots:
+        examination = looked["robots", name]
+        if examination.resting:
+            text = resting_warning(examination.resting, "on the way to no tip")
+            findings.add_warning(("robots", name), text)
+        for text in examination.warnings:
+            findings.add_warning(("robots", name), text)
 
 
-def _check_control(
-    control: ControlKind | None, arms: Mapping[str, KnownArm], findings: Findings
-) -> None:
+def _check_control(control: ControlKind | None, arms: KnownRobots, findings: Findings) -> None:
     if control is None:
         return
     try:
@@ -207,7 +251,7 @@ def _check_control(
         findings.add_fault(("control", *where), text)
 
 
-def _check_effects(parts: ValidParts, arms: Mapping[str, KnownArm], findings: Findings) -> None:
+def _check_effects(parts: ValidParts, arms: KnownRobots, findings: Findings) -> None:
     effects = parts.effects
     if effects is None:
         return

@@ -23,11 +23,18 @@ from typing_extensions import Self
 
 from multiarm.scene.code import UserFunction
 from multiarm.scene.faults import Faults, below, invalid, shown, unknown
-from multiarm.scene.joint_values import Gain, KnownArm, PerArm, gain_faults
+from multiarm.scene.joint_values import (
+    Gain,
+    KnownRobots,
+    PerArm,
+    gain_faults,
+    unknown_connection,
+    unknown_robot,
+)
 from multiarm.scene.registry import AnyClass, Registry, UserKind
 from multiarm.scene.spec import FilePath, Spec
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import ArmName, NonNegative, Number, Pose, Positive, WorldAxes, list_of
+from multiarm.scene.values import NonNegative, Number, Pose, Positive, WorldAxes, list_of
 
 
 class ControlKind(UserKind):
@@ -63,7 +70,7 @@ class ControlKind(UserKind):
         """Poses that the object is to pass; empty where it is to stay, or may go anywhere."""
         return ()
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms: their places in the control, and texts."""
         return [
             fault
@@ -301,7 +308,7 @@ control:
         """``gravity_compensation`` with its default."""
         return self.quantity == "position" and self.gravity_compensation is not False
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         """Gains, and columns of joints that no arm has."""
         faults = super().faults(arms)
         for address in self.columns or ():
@@ -311,13 +318,13 @@ control:
         return faults
 
 
-def _address_fault(address: str, arms: Mapping[str, KnownArm]) -> str:
+def _address_fault(address: str, arms: KnownRobots) -> str:
     """Why ``arm/joint`` is no joint of the scene; empty when it is one."""
     arm, _, joint = address.partition("/")
     if not joint:
         return f"must be 'arm/joint', got {shown(address)}"
     if arm not in arms:
-        return unknown("arm", arm, arms)
+        return unknown_robot(arm, arms)
     names = arms[arm].joint_names
     return "" if names is None or joint in names else unknown("joint", joint, names)
 
@@ -398,21 +405,21 @@ class _ObjectControl(SampledControl):
     """How hard the arms press the object between them [N]: fingertips, which can only push, press
     so hard in the mean; arms with idealised joints each press so hard towards the middle of all
     grips."""
-    internal_forces: dict[ArmName, ContactForces] | None = None
-    """A table 'arm: forces' [N], one for each contact of the arm's joint; the part that is not
-    internal is removed."""
+    internal_forces: dict[str, ContactForces] | None = None
+    """A table 'arm: forces' [N], one for each contact of the arm's joint, or of another by its
+    name; the part that is not internal is removed."""
 
     @property
     def object_waypoints(self) -> tuple[Waypoint, ...]:
         """Those of ``path``."""
         return self.path or ()
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
-        """Internal forces of arms that are none."""
+    def faults(self, arms: KnownRobots) -> Faults:
+        """Internal forces of joints that are none."""
         return [
-            (("internal_forces", arm), unknown("arm", arm, arms))
-            for arm in self.internal_forces or ()
-            if arm not in arms
+            (("internal_forces", name), text)
+            for name in self.internal_forces or ()
+            if (text := unknown_connection(name, arms))
         ]
 
 

@@ -3,13 +3,14 @@
 A quantity of joints (posture, torque, gain, ...) may be written as one number for all joints, as a
 list from base to tip, or as a table ``joint: value``.  A quantity of all arms may be one of these
 for every arm alike, or a table ``arm: value``; where robots' files have such numbers too, ``urdf``
-stands for these, for all arms or for one.
+stands for these, for all arms or for one.  Robots with several tips take part as arms do; their
+joints are listed in the order of :attr:`multiarm.scene.resolution.ResolvedRobot.joints`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -180,17 +181,22 @@ def joint_value_faults(
 
 
 @dataclass
-class KnownArm:
-    """The facts of an arm for the checks of a scene; None if the arm has faults.
+class KnownRobot:
+    """The facts of an arm or robot for the checks of a scene; None where it has faults.
 
     Attributes
     ----------
     joints : tuple of JointOutline
-        The movable ones from base to tip.
+        The moving ones, of an arm from base to tip.
     links : tuple of str
         All links, of the robot and of its tool.
     moving : tuple of str
-        Those that the movable joints carry.
+        Those that the moving joints carry.
+    tips : dict of str to str
+        Of a robot, the links of its tips by name; None for an arm, whose only tip has no name.
+    carriers : dict of str to str
+        Of a robot, the last joint that moves each link of ``moving``: links with one carrier are
+        parts of one rigid body.
     shown_by : str or None
         The command that shows all links.
     """
@@ -198,6 +204,8 @@ class KnownArm:
     joints: tuple[JointOutline, ...] | None = None
     links: tuple[str, ...] | None = None
     moving: tuple[str, ...] = ()
+    tips: Mapping[str, str] | None = None
+    carriers: Mapping[str, str] = field(default_factory=dict)
     shown_by: str | None = None
 
     @property
@@ -206,9 +214,40 @@ class KnownArm:
         return None if self.joints is None else tuple(joint.name for joint in self.joints)
 
 
+class KnownRobots(dict[str, KnownRobot]):
+    """The arms and robots of a scene by name, and the names of its connections."""
+
+    def __init__(
+        self, robots: Mapping[str, KnownRobot] | None = None, connections: Iterable[str] = ()
+    ) -> None:
+        super().__init__(robots or {})
+        self.connections = tuple(connections)
+
+
+def unknown_robot(name: object, robots: KnownRobots) -> str:
+    """The message that neither an arm nor a robot has this name."""
+    if all(robot.tips is None for robot in robots.values()):
+        return unknown("arm", name, robots)
+    return unknown("arm or robot", name, robots, "arms and robots")
+
+
+def unknown_connection(name: str, robots: KnownRobots, contacts: bool = False) -> str:
+    """The message that no joint has this name; empty where one has it.
+
+    With ``contacts``, a name may also be that of a contact, ``connection/contact``.
+    """
+    arms = [arm for arm, robot in robots.items() if robot.tips is None]
+    known = list(dict.fromkeys([*arms, *robots.connections]))
+    if any(name == joint or (contacts and name.startswith(f"{joint}/")) for joint in known):
+        return ""
+    if known == list(robots):
+        return unknown("arm", name.partition("/")[0] if contacts else name, known)
+    return unknown("joint", name, known)
+
+
 def gain_faults(
     value: Any,
-    arms: Mapping[str, KnownArm],
+    arms: KnownRobots,
     in_urdf: Callable[[JointOutline], float] | None = None,
     what: str = "",
 ) -> Faults:
@@ -224,7 +263,7 @@ def gain_faults(
     for arm, gain in (value if by_arm else dict.fromkeys(arms, value)).items():
         where: Parts = (arm,) if by_arm else ()
         if arm not in arms:
-            faults.append((where, unknown("arm", arm, arms)))
+            faults.append((where, unknown_robot(arm, arms)))
             continue
         names = arms[arm].joint_names
         if names is None or _is_urdf(gain):
@@ -243,7 +282,7 @@ def gain_faults(
 
 
 def urdf_warnings(
-    value: Any, arms: Mapping[str, KnownArm], in_urdf: Callable[[JointOutline], Any], what: str
+    value: Any, arms: KnownRobots, in_urdf: Callable[[JointOutline], Any], what: str
 ) -> Faults:
     """Arms whose robots' files have no such number, where ``value`` refers to these files."""
     return [

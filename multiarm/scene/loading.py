@@ -135,7 +135,7 @@ class NamedCode:
     what : str
         The function or the class, with its file, module or package.
     arm : str or None
-        Whose joint needs it.
+        The name of the joint that needs it, of one with 'arm' the arm.
     missing : str
         Why there is no such class; empty where there is one.
     """
@@ -167,7 +167,7 @@ def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
     named = []
     for parts, registry, name in _code_of(scene):
-        arm = scene.joints[int(parts[1])].arm if parts[0] == "joints" else None
+        arm = scene.joints[int(parts[1])].connection if parts[0] == "joints" else None
         if registry is None:
             named.append(NamedCode.function(parts, CodeReference(name), arm))
         else:
@@ -336,5 +336,5 @@ def _without_contacts(joint: Joint) -> Joint:
     )
     if contacts:
         return joint.model_copy(update={"contacts": contacts})
-    frames = {name: getattr(joint, name) for name in Joint.model_fields}
+    frames = {name: value for name, value in written(joint).items() if name in Joint.model_fields}
     return UnloadedJoint(**frames)

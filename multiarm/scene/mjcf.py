@@ -91,7 +91,7 @@ def _read(path: Path, _stamp: int) -> RobotOutline:
         joints.append(_joint(model, moved, parent, frame.name, path))
         links.append(frame.name)
     root = root_link(tuple(links), tuple(joints), path)
-    return RobotOutline(path, tuple(links), tuple(joints), (), root)
+    return RobotOutline(path, tuple(links), tuple(joints), (), root, sorted_by_name=False)
 
 
 def _joint(

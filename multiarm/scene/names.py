@@ -2,7 +2,8 @@
 
 # ruff: noqa: F401
 
-from multiarm.scene.arms import ArmSpec, BaseSpec, ResolvedArm, ToolSpec, resolve_arm
+from multiarm.scene.arms import ArmSpec, BaseSpec, ToolSpec, resolve_arm
+from multiarm.scene.bodies import OBJECT, WORLD, BodyName
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.code import function_text
 from multiarm.scene.control import CONTROLS, Waypoint, register_control
@@ -42,6 +43,8 @@ from multiarm.scene.loading import (
 )
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.object import ObjectSpec
+from multiarm.scene.resolution import MimicCoupling, ResolvedRobot
+from multiarm.scene.robot_spec import MimicSpec, RobotBaseSpec, RobotSpec, resolve_robot
 from multiarm.scene.robots import (
     RobotEntry,
     available_robots,

@@ -1,4 +1,4 @@
-"""The scene: arms joined to one common object, control, effects and settings of the run.
+"""The scene: robots joined to one common object, control, effects and settings of the run.
 
 A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist
 and fit together.  Whether it comes from YAML or is built in Python, one SceneError names all
@@ -27,14 +27,15 @@ from multiarm.scene.faults import counted, explain, fault_at, shown
 from multiarm.scene.joints import JointSpec
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import Classes
+from multiarm.scene.robot_spec import RobotSpec
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
-from multiarm.scene.trunks import Robot
-from multiarm.scene.values import ArmName, Vec3
+from multiarm.scene.trunks import ArmGroup
+from multiarm.scene.values import ArmName, RobotName, Vec3
 
 
 class Scene(Spec):
-    """Arms joined to one common object, with control, effects and settings of the run.
+    """Robots joined to one common object, with control, effects and settings of the run.
 
     Parameters
     ----------
@@ -52,9 +53,13 @@ class Scene(Spec):
     object : ObjectSpec
         The common object: shape, mass, pose.
     arms : table of ArmSpec
-        A table 'name: {robot: ..., tip: ...}'.
+        Robots with one tip: a table 'name: {robot: ..., tip: ...}'.
+    robots : table of RobotSpec
+        Robots with several tips, or on a base that moves: a table 'name: {robot: ..., tips: {tip:
+        link}}', beside or in place of 'arms'.
     joints : list of joints
-        A list of {arm: ..., kind: ...}.  One for each arm.
+        A list of {arm: ..., kind: ...} or {between: [..., ...], kind: ...}. One for each arm at
+        least.
     control : one of the kinds of control
         The joint torques; none by default.
     effects : table of effects
@@ -71,7 +76,8 @@ class Scene(Spec):
     name: str = "unnamed scene"
     gravity: Vec3 | None = None
     object: ObjectSpec
-    arms: dict[ArmName, ArmSpec]
+    arms: dict[ArmName, ArmSpec] = Field(default_factory=dict)
+    robots: dict[RobotName, RobotSpec] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...]
     control: ControlSpec = NoControl()
     effects: EffectsSpec = EffectsSpec()
@@ -80,7 +86,7 @@ class Scene(Spec):
     _folder: Path = PrivateAttr(default_factory=Path.cwd)
     _may_load_code: bool = PrivateAttr(default=True)
     _warnings: tuple[str, ...] = PrivateAttr(default=())
-    _robots: tuple[Robot, ...] = PrivateAttr(default=())
+    _arm_groups: tuple[ArmGroup, ...] = PrivateAttr(default=())
     _examined: Examined = PrivateAttr(default_factory=dict)
 
     def __init__(self, /, folder: Path | str | None = None, **data: Any) -> None:
@@ -178,13 +184,17 @@ class Scene(Spec):
         return list(self._warnings)
 
     @property
-    def robots(self) -> tuple[Robot, ...]:
-        """The robots; arms of one file on one base are one, such as the two on a trunk."""
-        return self._robots
+    def arm_groups(self) -> tuple[ArmGroup, ...]:
+        """The arms, those of one file on one base together, such as the two on a trunk."""
+        return self._arm_groups
 
-    def robot_of(self, arm: str) -> Robot:
-        """The robot that an arm belongs to."""
-        return next(robot for robot in self._robots if arm in robot.arms)
+    def group_of(self, arm: str) -> ArmGroup:
+        """The group that an arm belongs to."""
+        return next(group for group in self._arm_groups if arm in group.arms)
+
+    def links_in_joints(self, robot: str) -> tuple[str, ...]:
+        """The links of a robot that joints name beside its tips."""
+        return self._examined["robots", robot].links
 
     def __repr__(self) -> str:
         facts = "; ".join(f"{name} {fact}" for name, fact in self._facts().items())
@@ -198,15 +208,20 @@ class Scene(Spec):
     def _facts(self) -> dict[str, str]:
         """What it holds, in words."""
         shape = next((f"{name}, " for name, value in self.object.shape if value is not None), "")
-        joints = {joint.arm: joint.kind for joint in self.joints}
-        arms = []
-        for name, arm in self.arms.items():
-            model = arm.robot if arm.file is None else arm.file.name
-            arms.append(f"{name} ({model}, {joints[name]})")
+        kinds: dict[str, list[str]] = {name: [] for name in (*self.arms, *self.robots)}
+        for joint in self.joints:
+            for name in {joint.first.robot, joint.second.robot} & kinds.keys():
+                kinds[name].append(joint.kind)
+        texts = {
+            name: ", ".join([robot.robot or str(robot.file and robot.file.name), *kinds[name]])
+            for name, robot in (*self.arms.items(), *self.robots.items())
+        }
+        arms, robots = ([f"{name} ({texts[name]})" for name in t] for t in (self.arms, self.robots))
         effects = list(self.effects.named)
         return {
             "object": f"{shape}{self.object.mass:g} kg",
-            "arms": counted(arms, 8),
+            **({"arms": counted(arms, 8)} if arms else {}),
+            **({"robots": counted(robots, 8)} if robots else {}),
             "control": self.control.kind,
             "effects": counted(effects, 8) or "none",
             "run": f"{self.run.duration:g} s",
@@ -217,7 +232,7 @@ class Scene(Spec):
 
     __hash__ = None  # type: ignore[assignment]
 
-    @field_validator("object", "arms", "joints", "control", "effects", mode="after")
+    @field_validator("object", "arms", "robots", "joints", "control", "effects", mode="after")
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
@@ -250,7 +265,7 @@ class Scene(Spec):
             raise SceneError([*faults, *findings.faults])
         self._folder, self._may_load_code = folder, code
         self._warnings, self._examined = tuple(findings.warnings), findings.examined
-        self._robots = findings.robots
+        self._arm_groups = findings.arm_groups
 
 
 def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:

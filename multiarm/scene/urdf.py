@@ -101,6 +101,9 @@ class RobotOutline:
         The link that has no parent.
     text : str or None
         The URDF itself, where there is no file.
+    sorted_by_name : bool
+        Whether Pinocchio takes the joints below a link by their names, as of a URDF; else in the
+        order of the file.
     """
 
     path: Path
@@ -109,6 +112,21 @@ class RobotOutline:
     meshes: tuple[str, ...]
     root: str
     text: str | None = None
+    sorted_by_name: bool = True
+
+    def in_model_order(self) -> tuple[JointOutline, ...]:
+        """All joints, fixed ones too, in the order of Pinocchio's model: depth first."""
+        below: dict[str, list[JointOutline]] = {}
+        for joint in self.joints:
+            below.setdefault(joint.parent, []).append(joint)
+        if self.sorted_by_name:
+            for joints in below.values():
+                joints.sort(key=lambda joint: joint.name)
+        ordered, ahead = [], below.get(self.root, [])[::-1]
+        while ahead:
+            ordered.append(ahead.pop())
+            ahead += below.get(ordered[-1].child, [])[::-1]
+        return tuple(ordered)
 
     def chain(self, tip: str) -> tuple[JointOutline, ...]:
         """All joints, fixed ones too, from the root to link ``tip``.

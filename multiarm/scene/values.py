@@ -202,15 +202,30 @@ _ARM_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.\-]*"
 _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 
 
-def _arm_name(value: Any) -> str:
+_BODIES = ("object", "world")  # which joints name beside the links of robots
+
+
+def _name_of(noun: str, value: Any) -> str:
     if not isinstance(value, str) or not re.fullmatch(_ARM_NAME, value):
         raise invalid(
-            f"{shown(value)} cannot name an arm; use letters, digits, '_', '-' and '.' "
+            f"{shown(value)} cannot name {noun}; use letters, digits, '_', '-' and '.' "
             "(names become parts of paths such as 'left/elbow_joint')"
         )
-    if value == SURROUNDINGS:
-        raise invalid(f"no arm can be named {value!r}: results have the floor's forces there")
     return value
+
+
+def _arm_name(value: Any) -> str:
+    name = _name_of("an arm", value)
+    if name == SURROUNDINGS:
+        raise invalid(f"no arm can be named {name!r}: results have the floor's forces there")
+    return name
+
+
+def _robot_name(value: Any) -> str:
+    name = _name_of("a robot", value)
+    if name in (SURROUNDINGS, *_BODIES):
+        raise invalid(f"no robot can be named {name!r}, which is the name of another body")
+    return name
 
 
 def _color(value: Any) -> tuple[float, ...]:
@@ -230,6 +245,16 @@ def _color(value: Any) -> tuple[float, ...]:
 ArmName = Annotated[
     str,
     BeforeValidator(_arm_name),
+    WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
+]
+RobotName = Annotated[
+    str,
+    BeforeValidator(_robot_name),
+    WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
+]
+TipName = Annotated[
+    str,
+    BeforeValidator(partial(_name_of, "a tip")),
     WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
 ]
 _PART = {"type": "number", "minimum": 0, "maximum": 1}

@@ -300,7 +300,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
     spec, arm = system.scene.arms[name], system.arms[name]
     position, quaternion = _placement(spec.base.matrix())
     pivot = None if evaluation is None else evaluation.conditioning.get(name)
-    siblings = [sibling for sibling in system.scene.robot_of(name).arms if sibling != name]
+    siblings = [sibling for sibling in system.scene.group_of(name).arms if sibling != name]
     moved = {joint for sibling in siblings for joint in system.arms[sibling].joint_names}
     return ArmFacts(
         robot=_model_name(spec),

@@ -83,11 +83,11 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     angles = {name: trajectory.joint_positions[name][rows] for name in system.arm_names}
     shapes = _Shapes(meshes)
     feet = {}  # of each robot: where it stands
-    for robot in system.scene.robots:
-        arms = [system.arms[name] for name in robot.arms]
+    for group in system.scene.arm_groups:
+        arms = [system.arms[name] for name in group.arms]
         links, trunk = _robot_bodies(arms, angles, colors, shapes)
         bodies += links + trunk
-        feet[robot.arms[0]] = foot = arms[0].files.base.copy()
+        feet[group.arms[0]] = foot = arms[0].files.base.copy()
         foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:

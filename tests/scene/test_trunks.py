@@ -185,14 +185,14 @@ def test_arms_of_one_robot_have_to_agree_on_the_rest(left, right):
     assert len(caught.value.faults) == 1
 
 
-def test_other_bases_and_equal_chains_are_robots_of_their_own():
+def test_other_bases_and_equal_chains_are_groups_of_their_own():
     apart = pair(tiago("left"), tiago("right", lock={}, base={"xyz": [0, 2, 0]}))
     equal = pair(*({"robot": "planar_3r", "tip": "tip", "posture": [0.3, q, 0.2]} for q in (1, 2)))
-    assert [r.arms for s in (apart, equal) for r in s.robots] == 2 * [("left",), ("right",)]
+    assert [g.arms for s in (apart, equal) for g in s.arm_groups] == 2 * [("left",), ("right",)]
     same = {"xyz": [0, 0, 0.1], "rpy": [0, 0, 0.5]}
     turned = {"xyz": [0, 0, 0.1], "quaternion_xyzw": [0, 0, np.sin(0.25), np.cos(0.25)]}
     one = pair(tiago("left", base=same), tiago("right", base=turned))
-    assert [r.arms for r in one.robots] == [("left", "right")]
+    assert [g.arms for g in one.arm_groups] == [("left", "right")]
 
 
 def test_what_one_arm_says_of_the_rest_holds_for_the_robot():

@@ -6,13 +6,13 @@ classes.  What an effect does to the model stands in ``multiarm/effects/<name>.p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from multiarm.scene.effects import contacts, drives, loads
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import Faults, Parts, below
-from multiarm.scene.joint_values import KnownArm
+from multiarm.scene.joint_values import KnownRobots
 from multiarm.scene.registry import AnyClass, ByName, Registry
 
 _OURS: tuple[type[EffectKind], ...] = (
@@ -80,11 +80,11 @@ class _Effects(ByName):
         """Names of those that act on all contacts that only push, and on nothing else."""
         return self._names_of(lambda spec: spec.of_pushing and not getattr(spec, "contacts", None))
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms of the scene."""
         return [fault for at, spec in self._parts() for fault in below(at, spec.faults(arms))]
 
-    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, arms: KnownRobots) -> Faults:
         """Warnings about probable mistakes."""
         return [fault for at, spec in self._parts() for fault in below(at, spec.warnings(arms))]
 

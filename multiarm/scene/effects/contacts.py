@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, TypeAdapter
 
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import Faults, unknown
-from multiarm.scene.joint_values import URDF, KnownArm
+from multiarm.scene.joint_values import URDF, KnownRobots, unknown_connection, unknown_robot
 from multiarm.scene.spec import shorthand
 from multiarm.scene.values import Bound, NonNegative, Pose, Positive, UnitInterval, Vec3, list_of
 
@@ -25,15 +25,15 @@ class SomeContacts(EffectKind):
     can_open = True
 
     contacts: tuple[str, ...] | None = None
-    """Arms, or contacts as 'arm/contact'; absent: all that the effect can be of."""
+    """Joints by their names, or contacts as 'joint/contact', of joints with 'arm' the arm; absent:
+    all that the effect can be of."""
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms; contacts are checked once they are known."""
-        owners = [name.partition("/")[0] for name in self.contacts or ()]
         faults: Faults = [
-            (("contacts", k), unknown("arm", owner, arms))
-            for k, owner in enumerate(owners)
-            if owner not in arms
+            (("contacts", k), text)
+            for k, name in enumerate(self.contacts or ())
+            if (text := unknown_connection(name, arms, contacts=True))
         ]
         if self.contacts == ():
             faults.append((("contacts",), "is empty; name arms or contacts, or leave it out"))
@@ -46,7 +46,8 @@ class UnilateralContactsSpec(SomeContacts):
     Attributes
     ----------
     contacts
-        Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
+        Joints by their names, or contacts as 'joint/contact', of joints with 'arm' the arm; absent:
+        every contact that only pushes.
     """
 
     name = "unilateral_contacts"
@@ -68,7 +69,8 @@ class ContactFrictionSpec(SomeContacts):
     Attributes
     ----------
     contacts
-        Arms, or contacts as 'arm/contact'; absent: every contact that only pushes.
+        Joints by their names, or contacts as 'joint/contact', of joints with 'arm' the arm; absent:
+        every contact that only pushes.
     """
 
     name = "contact_friction"
@@ -90,7 +92,8 @@ class ContactComplianceSpec(SomeContacts):
     Attributes
     ----------
     contacts : list of str, optional
-        Arms, or contacts as 'arm/contact'; absent: all contacts of all joints.
+        Joints by their names, or contacts as 'joint/contact', of joints with 'arm' the arm; absent:
+        all contacts of all joints.
     """
 
     name = "contact_compliance"
@@ -128,7 +131,7 @@ class FloorSpec(EffectKind):
     """Points of the object that can touch it, object frame [m]; absent: the corners of its shape.
     """
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         if self.points == ():
             return [(("points",), "is empty; list points of the object, or leave it out")]
         return []
@@ -173,11 +176,11 @@ class JointLimitsSpec(EffectKind):
     restitution: UnitInterval = 0.0
     """Newton's coefficient, 0 to 1."""
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         faults: Faults = []
         for arm, joints in {} if self.range == "urdf" else self.range.items():
             if arm not in arms:
-                faults.append((("range", arm), unknown("arm", arm, arms)))
+                faults.append((("range", arm), unknown_robot(arm, arms)))
                 continue
             known = arms[arm].joint_names
             for joint, (lower, upper) in joints.items():
@@ -188,7 +191,7 @@ class JointLimitsSpec(EffectKind):
                     faults.append((place, f"the lower end {lower:g} is not below {upper:g}"))
         return faults
 
-    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, arms: KnownRobots) -> Faults:
         if self.range != "urdf":
             return []
         text = (

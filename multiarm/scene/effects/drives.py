@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +12,14 @@ from typing_extensions import Self
 
 from multiarm.scene.effects.kind import EffectKind, or_only
 from multiarm.scene.faults import Faults, below, invalid
-from multiarm.scene.joint_values import URDF, Gain, KnownArm, UrdfGain, gain_faults, urdf_warnings
+from multiarm.scene.joint_values import (
+    URDF,
+    Gain,
+    KnownRobots,
+    UrdfGain,
+    gain_faults,
+    urdf_warnings,
+)
 from multiarm.scene.urdf import JointOutline
 from multiarm.scene.values import Positive
 
@@ -58,7 +65,7 @@ class JointNumbers(EffectKind):
     def meaning(cls) -> str:
         return cls.means
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         return gain_faults(self.values, arms)
 
 
@@ -74,10 +81,10 @@ class JointDamping(JointNumbers):
     example = "effects: {joint_damping: 0.5}  # [N m s/rad], or urdf: as the robot's file says"
     usual = URDF
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         return gain_faults(self.values, arms, damping_of, "<dynamics damping>")
 
-    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, arms: KnownRobots) -> Faults:
         return urdf_warnings(self.values, arms, damping_of, "<dynamics damping>")
 
 
@@ -113,11 +120,11 @@ class JointFriction(EffectKind):
         """Speed of the smooth model, [rad/s] or [m/s]."""
         return _FRICTION_SPEED if self.speed is None else self.speed
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         faults = gain_faults(self.torque, arms, friction_of, "<dynamics friction>")
         return below(("torque",), faults)
 
-    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, arms: KnownRobots) -> Faults:
         warnings = urdf_warnings(self.torque, arms, friction_of, "<dynamics friction>")
         return below(("torque",), warnings)
 
@@ -154,7 +161,7 @@ class TorqueLimits(JointNumbers):
     example = "effects: {torque_limits: urdf}  # as the robot's file says, or 150 [N m]"
     usual = URDF
 
-    def warnings(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, arms: KnownRobots) -> Faults:
         return urdf_warnings(self.values, arms, _has_effort_limit, "<limit effort>")
 
 
@@ -177,5 +184,5 @@ class ActuatorLag(EffectKind):
     start: Literal["command", "zero"] = "command"
     """The torque at the start of a run: the command, or zero."""
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         return below(("time_constant",), gain_faults(self.time_constant, arms))

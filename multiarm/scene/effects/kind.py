@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 from pydantic import BeforeValidator
 
 from multiarm.scene.faults import Faults
-from multiarm.scene.joint_values import KnownArm
+from multiarm.scene.joint_values import KnownRobots
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.spec import Spec
 
@@ -77,11 +77,11 @@ class EffectKind(Spec):
         """
         return cls.usual
 
-    def faults(self, _arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, _arms: KnownRobots) -> Faults:
         """Faults with respect to the arms."""
         return []
 
-    def warnings(self, _arms: Mapping[str, KnownArm]) -> Faults:
+    def warnings(self, _arms: KnownRobots) -> Faults:
         """Warnings about probable mistakes."""
         return []
 

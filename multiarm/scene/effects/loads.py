@@ -16,7 +16,7 @@ from multiarm.notation import count_of
 from multiarm.scene.code import UserFunction
 from multiarm.scene.effects.kind import EffectKind
 from multiarm.scene.faults import Faults, invalid, listed, shown, unknown
-from multiarm.scene.joint_values import KnownArm
+from multiarm.scene.joint_values import KnownRobots, unknown_robot
 from multiarm.scene.spec import FilePath, Spec
 from multiarm.scene.values import BodyAxes, NonNegative, Number, Positive, Vec3, list_of
 
@@ -214,7 +214,8 @@ effects:
     - {on: object, force: [0, 0, 5], sinusoid: {frequency: 2}}   # [N], [Hz]"""
 
     on: str
-    """Its target, 'object' or 'arm/link': a link of the robot's URDF or of its tool's."""
+    """Its target, 'object' or 'arm/link', of robots 'robot/link': a link of the robot's URDF or of
+    its tool's."""
     at: Vec3 = (0.0, 0.0, 0.0)
     """The point where the force acts, in the frame of the object or of the link [m]."""
     axes: Literal["world", "body"] = "world"
@@ -264,7 +265,7 @@ effects:
         arm, _, link = self.on.partition("/")
         return None if self.on == _OBJECT else (arm, link)
 
-    def faults(self, arms: Mapping[str, KnownArm]) -> Faults:
+    def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms, and faults of the file."""
         faults: Faults = []
         target = self._target_fault(arms)
@@ -275,14 +276,14 @@ effects:
             faults += [(("table", "file"), in_file)] if in_file else []
         return faults
 
-    def _target_fault(self, arms: Mapping[str, KnownArm]) -> str:
+    def _target_fault(self, arms: KnownRobots) -> str:
         if self.target is None:
             return ""
         arm, link = self.target
         if not link:
             return f"must be 'object' or 'arm/link', got {shown(self.on)}"
         if arm not in arms:
-            return unknown("arm", arm, arms)
+            return unknown_robot(arm, arms)
         known = arms[arm]
         if known.links is None or link in known.moving:
             return ""

@@ -94,6 +94,8 @@ class ContactsJoint(Joint):
         Frame in which the object's geometry is given; by default the object frame itself.
     at_tip : Pose
         Frame in which the arm's geometry is given; by default the tip's frame itself.
+    at_first : Pose, optional
+        The same as 'at_tip'.
     """
 
     picture = "a hand of your own: any list of fingertips and surfaces, each touching in one point"
@@ -112,7 +114,8 @@ class ContactsJoint(Joint):
     at: Pose = Pose()
     contacts: tuple[ContactSpec, ...]
     """A list of {arm: ..., object: ...}, at least one. The arm's geometry is given in the tip's
-    frame (at_tip), the object's in the object's frame (at), patches too."""
+    frame (at_tip), the object's in the object's frame (at), patches too. With 'between', 'arm'
+    stands for FIRST and 'object' for SECOND."""
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:

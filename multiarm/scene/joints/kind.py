@@ -12,16 +12,17 @@ from textwrap import dedent, indent
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from typing_extensions import Self
 
 from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis, tangent_rows
+from multiarm.scene.bodies import OBJECT, BodyName, body_named, connection_name, tip_named
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range
+from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range, list_of
 
 X, Y, Z = np.eye(3)
 ZERO = np.zeros(3)
@@ -55,23 +56,34 @@ TipRadius = Annotated[
 ]
 
 
+TwoBodies = Annotated[tuple[str, str], list_of("must be a list of two bodies, FIRST, SECOND", 2)]
+
+
 class Joint(UserKind):
     """Base class of joints; define ``kind``, fields and :meth:`Joint.records`.
 
-    The joint frame is given in the object frame (``at``) and in the tip's frame (``at_tip``); both
-    coincide at the start.
+    It connects two bodies: FIRST, whose points usually touch, and SECOND, whose surfaces are
+    touched.  Contact forces act on SECOND.  The joint frame is written in the frame of SECOND
+    (``at``) and in that of FIRST (``at_first``); both coincide at the start.
 
     Attributes
     ----------
     arm : str
-        The name of the arm that this joint connects.
+        The arm, or the tip of a robot as 'robot/tip', that this joint connects with the object:
+        FIRST is the link of the tip, SECOND the object. Empty where 'between' names the bodies.
+    between : list of 2 str, optional
+        Instead of 'arm': the bodies [FIRST, SECOND]. 'object', 'world', an arm by its name,
+        'robot/tip' or 'robot/link'. FIRST is a link or the object, SECOND the object, the world or
+        another link of the same robot.
     name : str, optional
-        A name for reports.
+        A name for reports; with 'between' also in results. Absent: that of 'arm', or FIRST-SECOND.
     at : Pose, optional
-        Joint frame in the object frame. Absent: where the arm's joint frame is at the start; kind
-        'contacts': the object's own frame.
+        Joint frame in the frame of SECOND, of the object where 'arm' is written. Absent: where the
+        joint frame on FIRST is at the start; kind 'contacts': the frame of SECOND.
+    at_first : Pose, optional
+        Joint frame in the frame of FIRST. Absent: its frame.
     at_tip : Pose
-        Joint frame in the frame of the arm's tip.
+        The same as 'at_first', where FIRST is a tip.
     mu : float, optional
         Coulomb's coefficient of friction of its contacts, where they have none of their own and do
         not roll.  It counts before that of ``effects.contact_friction``.  Friction follows from the
@@ -93,18 +105,54 @@ class Joint(UserKind):
         ``surfaces`` if those of its contacts are surfaces of bodies.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={"oneOf": [{"required": ["arm"]}, {"required": ["between"]}]}
+    )
     class_sort = "joint"
     free: ClassVar[tuple[int, ...] | None] = None
     limited: ClassVar[dict[str, int]] = {}
     as_listed: ClassVar[bool] = False
     drawn_as: ClassVar[str] = ""
 
-    arm: str
+    arm: str = ""
+    between: TwoBodies | None = None
     name: str | None = None
     at: Pose | None = None
+    at_first: Pose | None = None
     at_tip: Pose = Pose()
     mu: NonNegative | None = None
     kind: str
+
+    @model_validator(mode="after")
+    def _bodies_and_frames_are_written_once(self) -> Self:
+        if bool(self.arm) == (self.between is not None):
+            raise invalid(
+                "needs either 'arm' (the tip that it connects with the object) or 'between' (two "
+                f"bodies, FIRST and SECOND), got {'both' if self.arm else 'neither'}"
+            )
+        if self.at_first is not None and "at_tip" in self.model_fields_set:
+            raise invalid("gives both 'at_first' and 'at_tip', which are the same; keep one")
+        return self
+
+    @property
+    def first(self) -> BodyName:
+        """The body whose points usually touch."""
+        return tip_named(self.arm) if self.between is None else body_named(self.between[0])
+
+    @property
+    def second(self) -> BodyName:
+        """The body whose surfaces are usually touched, and on which contact forces act."""
+        return OBJECT if self.between is None else body_named(self.between[1])
+
+    @property
+    def connection(self) -> str:
+        """Its name in results: 'arm', or 'name', or FIRST-SECOND."""
+        return connection_name(self.arm, self.between, self.name)
+
+    @property
+    def on_first(self) -> Pose:
+        """The joint frame in the frame of FIRST."""
+        return self.at_tip if self.at_first is None else self.at_first
 
     def records(self) -> list[Contact]:
         """The contacts in the joint frame; points usually on the arm, surfaces on the object."""
@@ -180,7 +228,7 @@ class Joint(UserKind):
                     f"{who} returned contact {shown(contact.name)} with {wrong}; correct it"
                 )
             normals |= set() if contact.tangent else {contact.name}
-        on_tip = self.at_tip.matrix()
+        on_tip = self.on_first.matrix()
         placed = [moved(contact, on_tip, object_pose) for contact in contacts]
         return placed if self.mu is None else _with_friction(placed, self.mu)
 
@@ -194,7 +242,7 @@ class Joint(UserKind):
         """
         turn = np.eye(4)
         turn[:3, :3] = basis(self.z_axis)
-        return self.at_tip.matrix() @ turn, object_pose @ turn
+        return self.on_first.matrix() @ turn, object_pose @ turn
 
     @classmethod
     def example_text(cls) -> str:

@@ -1,0 +1,59 @@
+"""The bodies of a scene by name: the object, the world, and links that carry tips.
+
+A joint is written as ``arm: NAME``, between the tip of an arm or robot and the object, or as
+``between: [FIRST, SECOND]``.  Forces of the joint act on SECOND, FIRST takes the opposite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class BodyName:
+    """A body, as a joint names it.
+
+    Attributes
+    ----------
+    robot : str
+        The arm or robot whose link it is; empty for the object and for the world.
+    tip : str
+        The tip, or the link, of a robot; empty for the only tip of an arm; ``object`` or ``world``
+        where there is no robot.
+    """
+
+    robot: str
+    tip: str
+
+    def __str__(self) -> str:
+        return f"{self.robot}/{self.tip}" if self.robot and self.tip else self.robot or self.tip
+
+    @property
+    def is_link(self) -> bool:
+        """Whether it is a link of an arm or robot."""
+        return bool(self.robot)
+
+
+OBJECT = BodyName("", "object")
+WORLD = BodyName("", "world")
+
+
+def body_named(text: str) -> BodyName:
+    """The body with this name in ``between``."""
+    for body in (OBJECT, WORLD):
+        if text == str(body):
+            return body
+    return tip_named(text)
+
+
+def tip_named(text: str) -> BodyName:
+    """The tip with this name in ``arm``: ``arm``, or ``robot/tip``."""
+    robot, _, tip = text.partition("/")
+    return BodyName(robot, tip)
+
+
+def connection_name(arm: str, between: tuple[str, str] | None, name: str | None) -> str:
+    """The name of a joint's contact rows in results: its tip's, else its own, else its bodies'."""
+    if between is None:
+        return arm
+    return name or "-".join(between)
