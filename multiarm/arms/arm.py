@@ -11,7 +11,7 @@ with ``b`` the Coriolis, centrifugal and gravity forces.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from multiarm.jit.rows import as_row
 from multiarm.notation import count_of
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
+from multiarm.scene.urdf import JointOutline
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,9 @@ class ArmFiles:
     """URDFs of a robot and its tool, folders of their meshes, mounting, tips and locked joints.
 
     ``tips`` are links by their names, "" for the only tip of an arm.  ``tool_urdf`` is a path, or
-    the text of a URDF; with ``mjcf`` the robot's file is MuJoCo's.
+    the text of a URDF; with ``mjcf`` the robot's file is MuJoCo's.  ``base_joints`` move the root
+    link from where ``base`` places it; ``base_mass`` [kg] at the base's origin and ``base_inertia``
+    (3, 3) about it [kg m^2] are added to the root link then.
     """
 
     urdf: Path
@@ -46,6 +49,9 @@ class ArmFiles:
     mount: str | None = None
     tool_placement: np.ndarray | None = None
     mjcf: bool = False
+    base_joints: tuple[JointOutline, ...] = ()
+    base_mass: float = 0.0
+    base_inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -428,10 +434,33 @@ def _assemble(
             at, size = model.joints[ids[-1]].idx_q, model.joints[ids[-1]].nq
             reference[at : at + size] = [np.cos(value), np.sin(value)] if size == 2 else value
         model, geometry = pin.buildReducedModel(model, geometry, ids, reference)
-    model, geometry = pin.appendModel(pin.Model(), model, pin.GeometryModel(), geometry, 0, base)
+    below, foot, place = _moving_base(files, base)
+    model, geometry = pin.appendModel(below, model, pin.GeometryModel(), geometry, foot, place)
     if files.mjcf:  # appending leaves it out
-        model.armature = np.array([armature[joint] for joint in model.names[1:]])
+        model.armature = np.array([armature.get(joint, 0.0) for joint in model.names[1:]])
     return model, geometry
+
+
+def _moving_base(files: ArmFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE3]:
+    """The joints below a robot's root link, the frame that carries it, and its pose there."""
+    model, carrier, place = pin.Model(), 0, base
+    for joint in files.base_joints:
+        axis = "XYZ"[int(np.argmax(joint.axis))]
+        kind = getattr(pin, f"JointModel{'P' if joint.kind == 'prismatic' else 'R'}{axis}")
+        limits = (
+            np.array([x])
+            for x in (joint.effort_limit, joint.velocity_limit, joint.lower, joint.upper)
+        )
+        carrier, place = model.addJoint(carrier, kind(), place, joint.name, *limits), _IDENTITY
+    if not files.base_joints:
+        return model, 0, base
+    added = pin.Inertia(files.base_mass, np.zeros(3), files.base_inertia)
+    model.appendBodyToJoint(carrier, added, _IDENTITY)
+    foot = pin.Frame("base", carrier, 0, _IDENTITY, pin.FrameType.OP_FRAME)
+    return model, model.addFrame(foot), _IDENTITY
+
+
+_IDENTITY = pin.SE3.Identity()
 
 
 def _geometry(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,30 @@ from multiarm.scene.shapes import NoCornersError
 from multiarm.scene.values import SURROUNDINGS
 
 
+@dataclass(frozen=True)
+class JointLaws:
+    """What the rows of robots' joints are about.
+
+    Attributes
+    ----------
+    limits : mapping robot -> joint -> (lower, upper)
+        In the order of its joints [rad, m].
+    couplings : mapping robot -> list of JointRow
+        Of joints that copy others.
+    dry : mapping robot -> (n,), optional
+        Dry friction of the joints [N m, N].
+    """
+
+    limits: Mapping[str, Mapping[str, tuple[float, float]]]
+    couplings: Mapping[str, list[JointRow]]
+    dry: Mapping[str, np.ndarray] | None
+
+
 def unilateral_constraints(
     scene: Scene,
     contacts: Mapping[str, list[Contact]],
     robot_of: Mapping[str, str],
-    limits: Mapping[str, Mapping[str, tuple[float, float]]],
-    dry: Mapping[str, np.ndarray] | None,
+    laws: JointLaws,
 ) -> UnilateralConstraints | None:
     """The unilateral constraints and all rows of a scene; None where all rows are bilateral.
 
@@ -33,10 +51,8 @@ def unilateral_constraints(
     contacts : mapping connection -> list of Contact
         Those of a robot together.
     robot_of : mapping connection -> robot
-    limits : mapping robot -> joint -> (lower, upper)
-        Of the robots, in chain order [rad, m].
-    dry : mapping robot -> (n,), optional
-        Dry friction of the joints [N m, N].
+        Empty where there is none.
+    laws : JointLaws
 
     Raises
     ------
@@ -46,7 +62,7 @@ def unilateral_constraints(
     """
     parameters = _contact_parameters(scene, contacts)
     rows, first = RowBuilder(), 0
-    for robot, of_joints in limits.items():
+    for robot, of_joints in laws.limits.items():
         for name in (name for name, owner in robot_of.items() if owner == robot):
             rows.start(name)
             for k, contact in enumerate(contacts[name]):
@@ -55,9 +71,15 @@ def unilateral_constraints(
         for number, (joint_name, limit) in enumerate(of_joints.items()):
             record, joint = JointRow(joint_name, number), first + number
             rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
-            if dry is not None and dry[robot][number] > 0.0:
-                rows.add_dry_friction(record, joint, float(dry[robot][number]))
+            if laws.dry is not None and laws.dry[robot][number] > 0.0:
+                rows.add_dry_friction(record, joint, float(laws.dry[robot][number]))
+        for coupling in laws.couplings[robot]:
+            rows.add_coupling(coupling)
         first += len(of_joints)
+    for name in (name for name, robot in robot_of.items() if not robot):
+        rows.start(name)
+        for k, contact in enumerate(contacts[name]):
+            rows.add_contact(contact, parameters[name].get(k))
     rows.start(SURROUNDINGS)
     if (floor := scene.effects.floor) is not None:
         for contact in floor_contacts(floor, scene.object.shape):

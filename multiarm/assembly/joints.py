@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.assembly.contact_effects import unilateral_constraints
+from multiarm.assembly.contact_effects import JointLaws, unilateral_constraints
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
-from multiarm.contacts.table import PackedContacts, pack
+from multiarm.contacts.table import JointRow, PackedContacts, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
-from multiarm.dynamics.connections import LINK, THE_OBJECT, Body, Connection
+from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import Layout
@@ -26,7 +25,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
-from multiarm.scene import JointSpec, Scene, friction_of
+from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
 from multiarm.scene.values import SURROUNDINGS
 
@@ -51,50 +50,52 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
     ModelError
         Naming the joint that cannot be made.
     """
-    shared = {}
+    shared, specs = {}, {joint.connection: joint for joint in scene.joints}
     if like is not None:
-        # a joint without ``at`` is where the tip meets the object
+        # a joint without ``at`` is where its bodies are at the start
         moved = scene.object.pose != like.scene.object.pose
-        joints_of_like = {joint.arm: joint for joint in like.scene.joints}
-        for joint in scene.joints:
+        joints_of_like = {joint.connection: joint for joint in like.scene.joints}
+        for name, joint in specs.items():
             placed = joint.at is not None or not moved
-            if joint.arm in robots.shared and joint == joints_of_like[joint.arm] and placed:
-                shared[joint.arm] = like.model.joints[joint.arm]
-    specs = {joint.arm: joint for joint in scene.joints}
+            bodies = [body.robot for body in (joint.first, joint.second) if body.is_link]
+            at_rest = all(robot in robots.shared for robot in bodies)
+            if at_rest and placed and joint == joints_of_like.get(name):
+                shared[name] = like.model.joints[name]
+    connections = scene_connections(scene, robots)
     return {
-        name: shared.get(name) or _make_joint(specs[name], scene, arm, robots.postures[name])
-        for name, arm in robots.arms.items()
+        name: shared.get(name) or _make_joint(specs[name], scene, robots) for name in connections
     }
 
 
 def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:
-    """The frame of every joint, with its free motions, by arm."""
+    """The frame of every connection, with its free motions."""
     closed, frames = data.closed, {}
     for joint in scene.joints:
-        frame = closed.model.frames[joint.arm]
+        frame = closed.model.frames[joint.connection]
         if joint.free is None:
-            frame = replace(frame, free=free_components(closed, joint.arm, start))
+            frame = replace(frame, free=free_components(closed, joint.connection, start))
         elif joint.kind not in BUILT_IN:
             _check_free(joint, closed, start)
-        frames[joint.arm] = frame
-    return {name: frames[name] for name in closed.model.arm_names}
+        frames[joint.connection] = frame
+    return {name: frames[name] for name in closed.model.connections}
 
 
 def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
     """All rows that can be active, and which of them are unilateral."""
     arms, connections = robots.arms, scene_connections(scene, robots)
     contacts = {name: joint.contacts for name, joint in joints.items()}
-    unilateral = _unilateral(scene, robots, connections, contacts)
-    records: Mapping[str, list] = contacts if unilateral is None else unilateral.records
-    blocks, owners, robot_of = [*arms], [], []
-    for owner in records:
-        robot = connections[owner].robot if owner in connections else owner
-        if owner not in connections and not records[owner]:
-            continue
-        if owner == SURROUNDINGS:
-            blocks.append(owner)
-        owners.append(owner)
-        robot_of.append(blocks.index(robot))
+    couplings = {name: _coupling_rows(resolved) for name, resolved in robots.resolved.items()}
+    unilateral = _unilateral(scene, robots, connections, contacts, couplings)
+    records = _bilateral(connections, contacts, couplings)
+    if unilateral is not None:
+        records = unilateral.records
+    owners = [owner for owner in records if owner in connections or records[owner]]
+    of_owners = [
+        (connections[owner].robot if owner in connections else owner) or SURROUNDINGS
+        for owner in owners
+    ]
+    blocks = [*arms, *([SURROUNDINGS] if SURROUNDINGS in of_owners else [])]
+    robot_of = [blocks.index(robot) for robot in of_owners]
     layout = Layout(
         names=tuple(arms),
         first_joint=_bounds([arms[name].dof if name in arms else 0 for name in blocks]),
@@ -113,39 +114,71 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     return Rows(layout, connections, records, on_links, packed, unilateral)
 
 
+def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
+    """The rows of a robot's joints that copy others."""
+    names = list(robot.joint_names)
+    return [
+        JointRow(
+            f"{coupling.joint} copies {coupling.leader}",
+            names.index(coupling.joint),
+            bound=coupling.offset,
+            leader=names.index(coupling.leader),
+            multiplier=coupling.multiplier,
+        )
+        for coupling in robot.mimic
+    ]
+
+
+def _bilateral(
+    connections: Mapping[str, Connection],
+    contacts: Mapping[str, list],
+    couplings: Mapping[str, list[JointRow]],
+) -> dict[str, list]:
+    """All rows by owner, where none is unilateral; those of a robot together."""
+    records: dict[str, list] = {}
+    for robot in (*couplings, ""):
+        for name, connection in connections.items():
+            if connection.robot == robot:
+                records[name] = list(contacts[name])
+        if robot:
+            records.setdefault(robot, []).extend(couplings[robot])
+    return records
+
+
 def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
     """The connections of a scene's joints, those of a robot together, in the robots' order."""
-    of_joints = [Connection(joint.arm, Body(LINK, joint.arm), THE_OBJECT) for joint in scene.joints]
-    order = list(robots.arms)
+    of_joints = [Connection(joint.connection, joint.first, joint.second) for joint in scene.joints]
+    order = [*robots.arms, ""]  # those without a robot are last
     of_joints.sort(key=lambda connection: order.index(connection.robot))
     return {connection.name: connection for connection in of_joints}
 
 
-def _make_joint(joint: Any, scene: Scene, arm: Arm, posture: np.ndarray) -> Joint:
-    """Contacts, frame and limits of a joint; without ``at`` it is where the tip is at the start."""
+def _make_joint(joint: Any, scene: Scene, robots: Robots) -> Joint:
+    """Contacts, frame and limits of a joint; without ``at`` it is where FIRST is at the start."""
     try:
         if joint.at is not None:
             pose = joint.at.matrix()
         else:
-            frame = arm.tip_pose(posture) @ joint.on_first.matrix() @ joint.start_shift()
-            pose = np.linalg.solve(scene.object.pose.matrix(), frame)
+            first, second = (robots.pose(scene, body) for body in (joint.first, joint.second))
+            frame = first @ joint.on_first.matrix() @ joint.start_shift()
+            pose = np.linalg.solve(second, frame)
         contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
     except ModelError as error:
-        raise ModelError(f"joint of arm '{joint.arm}': {error}") from error
+        raise ModelError(f"joint of arm '{joint.connection}': {error}") from error
     frame = JointFrame(on_tip, on_object, joint.free or ())
     return Joint(contacts, frame, joint.free_limits)
 
 
 def _check_free(joint: JointSpec, data: Data, start: State) -> None:
     """Raise unless the components that a kind calls free are coordinates of its free motions."""
-    free = free_components(data, joint.arm, start)
-    space = null_space(joint_wrenches(data, joint.arm)).basis  # (6, m)
+    free = free_components(data, joint.connection, start)
+    space = null_space(joint_wrenches(data, joint.connection)).basis  # (6, m)
     parts = space[list(joint.free or ())]
     if len(parts) != len(free) or np.linalg.matrix_rank(parts, 1e-6) < len(free):
         motions = ", ".join(COMPONENTS[k] for k in free) or "no motion"
         raise ModelError(
-            f"joint of arm '{joint.arm}': joint kind {joint.kind!r} says free = {joint.free}, but "
-            f"its contacts leave {motions} free; correct it, or leave it out"
+            f"joint of arm '{joint.connection}': joint kind {joint.kind!r} says free = "
+            f"{joint.free}, but its contacts leave {motions} free; correct it, or leave it out"
         )
 
 
@@ -154,6 +187,7 @@ def _unilateral(
     robots: Robots,
     connections: Mapping[str, Connection],
     contacts: Mapping[str, list],
+    couplings: Mapping[str, list[JointRow]],
 ) -> UnilateralConstraints | None:
     effects = scene.effects
     has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
@@ -168,7 +202,7 @@ def _unilateral(
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
     robot_of = {name: connection.robot for name, connection in connections.items()}
-    return unilateral_constraints(scene, contacts, robot_of, limits, dry)
+    return unilateral_constraints(scene, contacts, robot_of, JointLaws(limits, couplings, dry))
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

@@ -162,6 +162,8 @@ def find_postures(
     solved: dict[str, np.ndarray] = {}
     faults = []
     for number, joint in enumerate(scene.joints):
+        if joint.arm not in scene.arms:
+            continue
         arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
         where = ("arms", joint.arm, "posture")
         if joint.at is None:

@@ -14,12 +14,18 @@ from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.bases import Standing, find_bases
 from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
-from multiarm.dynamics.connections import Body
 from multiarm.dynamics.system import System
-from multiarm.errors import ModelError, SceneError
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Placement
-from multiarm.scene import ArmSpec, ResolvedRobot, Scene, resolve_arm
-from multiarm.scene.faults import fault_at
+from multiarm.scene import (
+    ArmSpec,
+    ResolvedRobot,
+    RobotSpec,
+    Scene,
+    resolve_arm,
+    resolve_robot,
+)
+from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.joint_values import SOLVE
 
 
@@ -32,9 +38,17 @@ class Robots:
     postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
     shared: tuple[str, ...]  # arms that another system has too
 
-    def placement(self, body: Body) -> Placement | None:
+    def pose(self, scene: Scene, body: BodyName) -> np.ndarray:
+        """Pose of a body's frame at the start as written, of a link that of its tip, (4, 4)."""
+        if body == OBJECT:
+            return scene.object.pose.matrix()
+        if not body.is_link:
+            return np.eye(4)
+        return self.arms[body.robot].tip_pose(self.postures[body.robot], body.tip)
+
+    def placement(self, body: BodyName) -> Placement | None:
         """Of a tip on the joint that carries it: rotation, translation; None of another body."""
-        if not body.robot:
+        if not body.is_link:
             return None
         tip = self.arms[body.robot].tips[body.tip]
         return tip.rotation, tip.translation
@@ -66,14 +80,7 @@ def with_bases(scene: Scene) -> Scene:
 
 
 def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> Robots:
-    """The arms of a scene; equal ones of ``like`` are shared, missing postures sought.
-
-    Raises
-    ------
-    SceneError
-        Where robots have several tips, or joints connect other bodies than arms and the object.
-    """
-    _refuse_what_is_not_simulated(scene)
+    """The robots of a scene; equal ones of ``like`` are shared, missing postures sought."""
     shared: tuple[str, ...] = ()
     if like is not None and scene.effects.rotor_inertia == like.scene.effects.rotor_inertia:
         arms_of_like = like.scene.arms
@@ -83,13 +90,18 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             if arms_of_like.get(name) == spec
             and like.scene.group_of(name).lock == scene.group_of(name).lock
         )
+        shared += tuple(
+            name
+            for name, spec in scene.robots.items()
+            if like.scene.robots.get(name) == spec
+            and like.scene.links_in_joints(name) == scene.links_in_joints(name)
+        )
     resolved, arms = {}, {}
-    for name, spec in scene.arms.items():
+    for name in (*scene.arms, *scene.robots):
         if like is not None and name in shared:
             resolved[name], arms[name] = like.model.robots[name], like.arms[name]
         else:
-            locked = spec.model_copy(update={"lock": scene.group_of(name).lock | spec.lock})
-            resolved[name] = resolve_arm(locked, scene.folder)
+            resolved[name] = _resolved(scene, name)
             arms[name] = _make_arm(name, scene, resolved[name])
     postures = {name: arm.posture for name, arm in resolved.items()}
     if seek:
@@ -97,18 +109,20 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
     return Robots(resolved, arms, postures, shared)
 
 
-def _refuse_what_is_not_simulated(scene: Scene) -> None:
-    wider: list[tuple[str | int, ...]] = [("robots", name) for name in scene.robots]
-    wider += [("joints", k) for k, joint in enumerate(scene.joints) if joint.between is not None]
-    if wider:
-        remedy = "is not simulated yet; write arms, each with one joint to the object"
-        raise SceneError([fault_at(where, remedy) for where in wider])
+def _resolved(scene: Scene, name: str) -> ResolvedRobot:
+    """Files, joints and start of an arm or a robot of the scene."""
+    if name in scene.robots:
+        return resolve_robot(scene.robots[name], scene.links_in_joints(name), scene.folder)
+    spec = scene.arms[name]
+    locked = spec.model_copy(update={"lock": scene.group_of(name).lock | spec.lock})
+    return resolve_arm(locked, scene.folder)
 
 
 def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:
     """Backends of the arm dynamics; shared where ``like`` has equal arms."""
     gravity, with_torque = gravity_of(scene), needs_gravity_torque(scene)
-    if like is not None and list(robots.shared) == list(scene.arms) == list(like.scene.arms):
+    names = [*scene.arms, *scene.robots]
+    if like is not None and list(robots.shared) == names == list(like.arms):
         same_gravity = scene.gravity == like.scene.gravity
         same_backends = scene.run.arms == like.scene.run.arms
         same_terms = with_torque == needs_gravity_torque(like.scene)
@@ -117,14 +131,17 @@ def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Ar
     return ArmBackends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
 
 
-def arm_files(spec: ArmSpec, resolved: ResolvedRobot) -> ArmFiles:
-    """Files and frames of an arm of a scene."""
-    tool = spec.tool
+def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> ArmFiles:
+    """Files and frames of an arm or a robot of a scene."""
+    tool = spec.tool if isinstance(spec, ArmSpec) else None
     return ArmFiles(
         urdf=resolved.urdf,
         package_dirs=resolved.package_dirs,
         base=spec.base.matrix(),
-        tips={"": resolved.tip},
+        tips=resolved.tips,
+        base_joints=resolved.base_joints,
+        base_mass=resolved.base_mass,
+        base_inertia=resolved.base_inertia,
         locked=resolved.locked,
         tool_urdf=resolved.tool_urdf,
         tool_package_dirs=resolved.tool_package_dirs,
@@ -135,7 +152,8 @@ def arm_files(spec: ArmSpec, resolved: ResolvedRobot) -> ArmFiles:
 
 
 def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
-    spec, rotors = scene.arms[name], scene.effects.rotor_inertia
+    spec = scene.robots[name] if name in scene.robots else scene.arms[name]
+    rotors = scene.effects.rotor_inertia
     inertia = None
     if rotors is not None:
         from multiarm.effects.rotor_inertia import of_arm
@@ -144,8 +162,8 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
     arm = Arm(name, arm_files(spec, resolved), spec.color, inertia)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
-            f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's chain is "
-            f"{resolved.joint_names}; give the chain's joints names in order"
+            f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's order is "
+            f"{resolved.joint_names}; give them names in order"
         )
     return arm
 

@@ -284,15 +284,16 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
         if turns is None or len(turns) > 1:
             continue
-        frame, (first, second) = data.model.frames[joint.arm], data.model.bodies_of(joint.arm)
-        R_T = rotations[first] @ data.model.tip_of(joint.arm).rotation
+        frame = data.model.frames[joint.connection]
+        first, second = data.model.bodies_of(joint.connection)
+        R_T = rotations[first] @ data.model.tip_of(joint.connection).rotation
         R = (rotations[second] @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
         # the cosine of the turn between both frames, or between the axes about which they may turn
         cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
         if cosine < 0.0:
             angle = math.degrees(math.acos(max(cosine, -1.0)))
             faults.append(
-                f"{name} closes the joint of arm '{joint.arm}' the wrong way round: its frame on "
+                f"{name} closes the joint of arm '{joint.connection}' the wrong way round: its frame on "
                 f"the arm is turned by {angle:.0f} degrees against that on the object; correct the "
                 "posture or `at`, or let `posture: solve` find it"
             )

@@ -41,7 +41,7 @@ def inside(data: Data, constraint: Constraint, depth: float) -> str:
 
 def too_far(data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float) -> list[str]:
     """One fault for every joint whose gap in the data exceeds the limit [m]."""
-    kinds = {joint.arm: joint.kind for joint in scene.joints}
+    kinds = {joint.connection: joint.kind for joint in scene.joints}
     phi = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
     faults, near = [], {}
     for arm, gap in gaps.items():

@@ -56,7 +56,7 @@ def _joints_off_the_object(system: System) -> list[str]:
     """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
     warnings = []
     for place_of_joint, joint in enumerate(system.scene.joints):
-        point = system.frames[joint.arm].on_object[:3, 3]
+        point = system.frames[joint.connection].on_object[:3, 3]
         solid = None if joint.as_listed else system.scene.object.shape.solid
         nearest = None if solid is None else solid.nearest(point)
         if nearest is None:
@@ -69,8 +69,8 @@ def _joints_off_the_object(system: System) -> list[str]:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
         there = ", ".join(f"{x:.3g}" for x in nearest)
         warnings.append(
-            f"{where}: the joint of arm {joint.arm!r} is {distance:.3g} m off the object's shape, "
-            f"whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
+            f"{where}: the joint of arm {joint.connection!r} is {distance:.3g} m off the object's "
+            f"shape, whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
             "leave it if the object has a handle there"
         )
     return warnings

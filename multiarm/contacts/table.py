@@ -67,7 +67,8 @@ class Code(NamedTuple):
     normal_part: Number = 0
     first_part: Number = 0  # of combined rows, and how many there are
     parts: Number = 0
-    joint: Number = -1  # its number in the arm, of joints
+    joint: Number = -1  # its number in the robot, of joints
+    leader: Number = -1  # the joint that it copies; -1: none
 
 
 class ContactGeometry(NamedTuple):
@@ -92,11 +93,12 @@ class TangentGeometry(NamedTuple):
 
 
 class JointGeometry(NamedTuple):
-    """Side and bound of a :class:`JointRow`."""
+    """Numbers of a :class:`JointRow`."""
 
     side: Number
     bound: Number  # [rad, m]
     has_bound: Number
+    multiplier: Number
 
 
 class Shape(NamedTuple):
@@ -119,24 +121,30 @@ open_geometry, open_tangent, open_joint = map(
 
 @dataclass(frozen=True)
 class JointRow:
-    """One row of W that belongs to a joint of an arm; the object takes no part.
+    """One row of W that belongs to a joint of a robot; the object takes no part.
 
     Attributes
     ----------
     name : str
         Shown in messages and results.
     joint : int
-        Number of the joint in its arm.
+        Number of the joint in its robot.
     side : float
         1: the force moves the joint forward, the gap is ``q - bound``; -1: backward, ``bound - q``.
     bound : float or None
         Position of zero gap [rad, m]; None: the row constrains velocities only.
+    leader : int
+        Number of a joint that it copies; -1: none.  Then ``q`` is what its position has more than
+        ``multiplier`` times that of its leader.
+    multiplier : float
     """
 
     name: str
     joint: int
     side: float = 1.0
     bound: float | None = None
+    leader: int = -1
+    multiplier: float = 0.0
     tangent: int = 0
     pushes_only: bool = False
 
@@ -148,7 +156,7 @@ class JointRow:
 class ContactTable(NamedTuple):
     """Records packed for the kernel."""
 
-    # (N + P, 8) :class:`Code` of the N rows of W, arm after arm, then of the P parts of the
+    # (N + P, 9) :class:`Code` of the N rows of W, arm after arm, then of the P parts of the
     # combined rows
     codes: Ints2
     # (N + P, 13) by kind :class:`ContactGeometry`, :class:`TangentGeometry`, :class:`JointGeometry`
@@ -186,7 +194,7 @@ def pack(contacts: Sequence[Contact | JointRow]) -> PackedContacts:
     functions: list[SmoothShape] = []
     for k, contact in enumerate(contacts):
         if isinstance(contact, JointRow):
-            codes.append(Code(JOINT, 0, joint=contact.joint))
+            codes.append(Code(JOINT, 0, joint=contact.joint, leader=contact.leader))
         elif contact.is_combined:
             pieces = [replace(contact, minus=None, weight=1.0)]
             pieces += [] if contact.minus is None else [contact.minus]
@@ -261,16 +269,17 @@ def copy_record(table, record, selected, k):
 
 
 class JointRows(NamedTuple):
-    """The rows of W that belong to a joint of an arm, (r,) numbers each."""
+    """The rows of W that belong to a joint of a robot, (r,) numbers each."""
 
     arm: Ints1
     row: Ints1
     joint: Ints1
+    leader: Ints1  # the joint that it copies; -1: none
 
 
 def make_joint_rows(count: int) -> JointRows:
     """Allocate for a number of rows."""
-    return JointRows(*np.zeros((3, count), dtype=np.int64))
+    return JointRows(*np.zeros((len(JointRows._fields), count), dtype=np.int64))
 
 
 @plain
@@ -286,6 +295,7 @@ def select_joint_rows(codes, rows, dofs, joint_rows):
             if code.kind == JOINT:
                 joint_rows.arm[count], joint_rows.row[count] = i, row
                 joint_rows.joint[count] = dofs[i] + code.joint
+                joint_rows.leader[count] = dofs[i] + code.leader if code.leader >= 0 else -1
                 count += 1
 
 
@@ -328,7 +338,8 @@ def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
 
 def _geometry(contact: Contact | JointRow) -> ContactGeometry | TangentGeometry | JointGeometry:
     if isinstance(contact, JointRow):
-        return JointGeometry(contact.side, contact.bound or 0.0, contact.bound is not None)
+        has_bound = contact.bound is not None
+        return JointGeometry(contact.side, contact.bound or 0.0, has_bound, contact.multiplier)
     guide, follower = contact.guide, contact.follower
     if contact.tangent:
         # two directions orthogonal to the first tangent; a plane's normal cannot be one

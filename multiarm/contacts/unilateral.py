@@ -216,6 +216,12 @@ class RowBuilder:
         held = replace(record, name=f"{record.name}, dry friction")
         self._constrain(DRY_JOINT, held, self._add(held), joint=joint, bound=bound)
 
+    def add_coupling(self, record: JointRow) -> None:
+        """A joint that copies another one, at all times."""
+        row = self._add(record)
+        self.model.append(row)
+        self.bilateral.append(row)
+
     def compliant_contacts(self) -> CompliantContacts | None:
         """The contacts that are springs and dampers."""
         if not self.compliant:

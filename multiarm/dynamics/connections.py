@@ -17,28 +17,8 @@ import numpy as np
 from multiarm.arms.arm import AT_REST, Arm, ArmTip
 from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
+from multiarm.scene.bodies import OBJECT, WORLD, BodyName
 from multiarm.scene.values import SURROUNDINGS
-
-
-@dataclass(frozen=True)
-class Body:
-    """A body of a scene: the object, the world, or the link of a robot's tip.
-
-    Attributes
-    ----------
-    kind : str
-        ``OBJECT``, ``WORLD`` or ``LINK``.
-    robot, tip : str
-        Of a link: the robot, and the key of ``Arm.tips``.
-    """
-
-    kind: str
-    robot: str = ""
-    tip: str = ""
-
-
-LINK, OBJECT, WORLD = "link", "object", "world"
-THE_OBJECT, THE_WORLD = Body(OBJECT), Body(WORLD)
 
 
 @dataclass(frozen=True)
@@ -46,8 +26,8 @@ class Connection:
     """Two bodies that are connected; forces act on the second one."""
 
     name: str
-    first: Body
-    second: Body
+    first: BodyName
+    second: BodyName
 
     @property
     def robot(self) -> str:
@@ -57,7 +37,7 @@ class Connection:
     @property
     def on_object(self) -> bool:
         """Whether its second body is the object."""
-        return self.second.kind == OBJECT
+        return self.second == OBJECT
 
 
 class Links(NamedTuple):
@@ -96,18 +76,18 @@ class BodyTable:
         """Number of bodies."""
         return len(self._links) + 2
 
-    def number(self, body: Body) -> int:
+    def number(self, body: BodyName) -> int:
         """Place of a body among all."""
-        if body.kind == LINK:
+        if body.is_link:
             joint = self.tip(body).joint
             return self._links.index((self._robots.index(body.robot), joint))
-        return len(self._links) + (0 if body.kind == OBJECT else 1)
+        return len(self._links) + (0 if body == OBJECT else 1)
 
-    def tip(self, body: Body) -> ArmTip:
+    def tip(self, body: BodyName) -> ArmTip:
         """The tip of a link; a frame at rest for another body."""
-        return self.arms[body.robot].tips[body.tip] if body.kind == LINK else AT_REST
+        return self.arms[body.robot].tips[body.tip] if body.is_link else AT_REST
 
-    def placement(self, body: Body) -> Placement:
+    def placement(self, body: BodyName) -> Placement:
         """The frame of a body's tip in that of the joint that moves it."""
         tip = self.tip(body)
         return tip.rotation, tip.translation
@@ -127,17 +107,17 @@ class BodyTable:
         self, owners: Sequence[str], blocks: Sequence[int], pairs: Mapping[str, Connection]
     ) -> Connections:
         """The table of the owners of rows, whose blocks are given."""
-        world = self.number(THE_WORLD)
+        world = self.number(WORLD)
         numbers = np.full((4, len(owners)), world, dtype=np.int64)
         table = Connections(*numbers)
         table.robot[:], table.serial[:] = blocks, 0
-        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, THE_WORLD, THE_OBJECT), **pairs}
+        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, WORLD, OBJECT), **pairs}
         for c, owner in enumerate(owners):
             if owner not in pairs:
                 continue
             pair = pairs[owner]
             table.first[c], table.second[c] = self.number(pair.first), self.number(pair.second)
-            if pair.first.kind == LINK and pair.second.kind != LINK:
+            if pair.first.is_link and not pair.second.is_link:
                 chain, arm = self.tip(pair.first).chain, self.arms[pair.robot]
                 table.serial[c] = int(chain.size == arm.dof)
         return table

@@ -30,7 +30,6 @@ from multiarm.contacts.motion import BodyMotion, open_body, open_relative, write
 from multiarm.contacts.table import PAIR, Code, ContactGeometry, open_code
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.connections import LINK, OBJECT, Body
 from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -50,6 +49,7 @@ from multiarm.geometry.screws import first_largest
 from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
 from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
+from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.values import SURROUNDINGS
 from multiarm.spatial import quaternion_to_matrix
 
@@ -217,13 +217,13 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
     return seen_from_object(X_WB, twist_B, X_WA, twist_A)
 
 
-def _pose_and_twist(model: Model, state: State, body: Body) -> tuple[np.ndarray, np.ndarray]:
+def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndarray, np.ndarray]:
     """Pose (4, 4) and twist (6,) of a body's frame, of a link that of its tip, world axes."""
     X, twist = np.eye(4), np.zeros(6)
-    if body.kind == OBJECT:
+    if body == OBJECT:
         X[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
         X[:3, 3], twist = state.object_position, state.object_twist
-    if body.kind == LINK:
+    if body.is_link:
         robot, positions, rates = body.robot, state.joint_positions, state.joint_velocities
         tip = model.arms[robot].tip_kinematics(positions[robot], rates[robot], body.tip)
         X[:3, :3], X[:3, 3], twist = tip.rotation, tip.position, tip.twist

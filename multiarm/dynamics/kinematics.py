@@ -186,9 +186,12 @@ def rows_of_connection(c, model, data, work):
     first, second = pairs.first[c], pairs.second[c]
     for k in range(data.rows.first[c], data.rows.first[c + 1]):
         column = k - work.first_contact[pairs.robot[c]]
-        if second == links:
+        if is_object(first, data) or is_object(second, data):
             x_o, row = open_body(data.bodies.object).origin, open_contact(data.rows.kinematics[k])
             write_object_row(row, x_o, data.rows.W_o[k])
+        if is_object(first, data):
+            for l in range(data.rows.W_o.shape[1]):
+                data.rows.W_o[k, l] *= -1.0
         clear_column(pairs.robot[c], column, work)
         if first < links:
             add_link_column(first, k, column, -1.0, model, data, work)
@@ -260,10 +263,16 @@ def write_joint_rows(model, data, work):
         i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
         geometry = open_joint(model.contacts.geometry[row])
         contact = open_contact(data.rows.kinematics[row])
-        side, beyond = geometry.side, data.state.joint_positions[joint] - geometry.bound
-        contact.gap = geometry.has_bound * side * beyond
-        contact.gap_rate = side * data.state.joint_rates[joint]
-        work.W[i, joint - work.first_joint[i], row - work.first_contact[i]] = side
+        side, column = geometry.side, row - work.first_contact[i]
+        position, rate = data.state.joint_positions[joint], data.state.joint_rates[joint]
+        leader = joint_rows.leader[k]
+        if leader >= 0:
+            position -= geometry.multiplier * data.state.joint_positions[leader]
+            rate -= geometry.multiplier * data.state.joint_rates[leader]
+            work.W[i, leader - work.first_joint[i], column] = -side * geometry.multiplier
+        contact.gap = geometry.has_bound * side * (position - geometry.bound)
+        contact.gap_rate = side * rate
+        work.W[i, joint - work.first_joint[i], column] = side
 
 
 @inlined

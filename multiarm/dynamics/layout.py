@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.notation import count_of
+from multiarm.scene.values import SURROUNDINGS
 
 TWIST = 6
 """Numbers of a twist, the velocity of a frame."""
@@ -143,8 +144,8 @@ class Layout:
 
     @property
     def surroundings(self) -> slice:
-        """Contacts of the object with its surroundings."""
-        if self.block_count == len(self.names):
+        """Contacts of the object with its surroundings, the last owner's where there are any."""
+        if SURROUNDINGS not in self.owners:
             return slice(self.contacts, self.contacts)
         return slice(*self.first_contact[-2:])
 
@@ -248,11 +249,10 @@ class Layout:
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``owner -> vector[..., its contacts]``, without the surroundings."""
-        owners = zip(self.owners, self.robot_of, strict=True)
         return {
             name: vector[..., self.contacts_of(c)]
-            for c, (name, robot) in enumerate(owners)
-            if robot < len(self.names)
+            for c, name in enumerate(self.owners)
+            if name != SURROUNDINGS
         }
 
     # --- columns of derivatives -----------------------------------------------------------------

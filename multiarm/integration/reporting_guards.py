@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 
+from multiarm.contacts.table import JointRow
 from multiarm.dynamics.arrays import open_reports, open_system
 from multiarm.dynamics.connections import Connections
 from multiarm.dynamics.data import Data
@@ -36,7 +37,7 @@ ROUNDED_EXCESS, SMALL_PULL = 1e-9, 1e-6
 
 
 def reporting_guards(
-    contacts: Mapping[str, list[Contact]],
+    contacts: Mapping[str, list[Contact | JointRow]],
     limits: Mapping[str, Mapping[int, tuple[float, float]]],
     layout: Layout,
     connections: Connections,
@@ -67,8 +68,8 @@ def reporting_guards(
     return tuple(guards)
 
 
-def _contact_guards(row: int, bodies: tuple[int, int], contact: Contact) -> list[Guard]:
-    if contact.tangent:
+def _contact_guards(row: int, bodies: tuple[int, int], contact: Contact | JointRow) -> list[Guard]:
+    if not isinstance(contact, Contact) or contact.tangent:
         return []
     guards = []
     if contact.pushes_only:

@@ -81,16 +81,22 @@ def disagreement(solution: TreeSolution, peer: TreeSolution) -> float:
     return max(_relative_difference(pairs), _relative_difference(wrenches))
 
 
-def evaluation_errors(solution: TreeSolution, evaluation: Any, about: np.ndarray) -> float:
+def evaluation_errors(
+    solution: TreeSolution, evaluation: Any, about: dict[str, np.ndarray]
+) -> float:
     """Largest error of an ``ma.Evaluation``, as :func:`disagreement` measures it.
 
-    Its wrenches act on SECOND, about the point ``about`` (3,) [m].
+    Its wrenches act on SECOND, about a point ``about`` (3,) [m] of the connection; about the origin
+    of the joint's frame on SECOND where there is none.
     """
     pairs = [(solution.object_acceleration, evaluation.object_acceleration)]
     for name, accelerations in solution.joint_accelerations.items():
         pairs.append((accelerations, evaluation.joint_accelerations[name]))
     wrenches = [
-        (solution.wrench(name, about), evaluation.wrenches[name])
+        (
+            solution.wrench(name, about.get(name, solution.origins[name])),
+            evaluation.wrenches[name],
+        )
         for name, unique in solution.unique.items()
         if unique
     ]
