@@ -48,7 +48,9 @@ def body_named(text: str) -> BodyName:
 
 def tip_named(text: str) -> BodyName:
     """The tip with this name in ``arm``: ``arm``, or ``robot/tip``."""
-    robot, _, tip = text.partition("/")
+    robot, slash, tip = text.partition("/")
+    if slash and not (robot and tip):  # no arm or robot has a name with a slash
+        return BodyName(text, "")
     return BodyName(robot, tip)
 
 

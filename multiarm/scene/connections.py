@@ -38,7 +38,9 @@ class WrittenJoint:
     def of(cls, joint: Any) -> WrittenJoint:
         """That of a joint, or of the table that is to be one."""
         read = joint.get if isinstance(joint, Mapping) else lambda key: getattr(joint, key, None)
-        return cls(read("arm") or None, read("between"), read("name"))
+        arm = read("arm")
+        written = not isinstance(arm, str) or bool(arm)
+        return cls(arm if written else None, read("between"), read("name"))
 
     @property
     def two_bodies(self) -> tuple[str, str] | None:
@@ -67,7 +69,7 @@ class WrittenJoint:
 
 
 def links_of(robot: str, joints: Sequence[WrittenJoint], tips: Mapping[str, str]) -> list[str]:
-    """The links of a robot that joints name beside its tips, each once, in the scene's order."""
+    """The links of a robot that joints name besides its tips, each once, in the scene's order."""
     bodies = [body for joint in joints for body in joint.bodies or ()]
     names = (body.tip for body in bodies if body.robot == robot)
     return list(dict.fromkeys(name for name in names if name and name not in tips))

@@ -33,7 +33,7 @@ from multiarm.scene.trunks import ArmGroup, arm_groups, group_faults, group_warn
 
 @dataclass(frozen=True)
 class ExaminedRobot:
-    """An arm or robot as it was examined, with the links that joints name beside its tips."""
+    """An arm or robot as it was examined, with the links that joints name besides its tips."""
 
     spec: ArmSpec | RobotSpec
     links: tuple[str, ...]

@@ -144,7 +144,7 @@ class RobotSpec(RobotModel):
     the limit nearest to 0; those that copy others follow. 'solve': found for the places of the
     tips' joints."""
     mimic: dict[str, MimicSpec] = Field(default_factory=dict)
-    """Joints that copy others, beside those of the file or in place of them: a table 'joint: {of:
+    """Joints that copy others, with those of the file or in place of them: a table 'joint: {of:
     leader}'."""
 
 
@@ -157,7 +157,7 @@ def resolve_robot(
     ----------
     spec : RobotSpec
     links : iterable of str
-        Links that joints of the scene name beside the tips.
+        Links that joints of the scene name besides the tips.
     folder : path, optional
         Where relative paths start; the current one by default.
 
@@ -175,7 +175,7 @@ def resolve_robot(
 def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     """Look at a robot whose paths are absolute, and note all faults and warnings.
 
-    ``links`` are those that joints of the scene name beside the tips; what is no link is left out.
+    ``links`` are those that joints of the scene name besides the tips; what is no link is left out.
     """
     examination = Examination(shown_by=spec.shown_by, tips=dict(spec.tips))
     outline = outline_of(spec, examination)

@@ -56,7 +56,7 @@ class Scene(Spec):
         Robots with one tip: a table 'name: {robot: ..., tip: ...}'.
     robots : table of RobotSpec
         Robots with several tips, or on a base that moves: a table 'name: {robot: ..., tips: {tip:
-        link}}', beside or in place of 'arms'.
+        link}}', with or instead of 'arms'.
     joints : list of joints
         A list of {arm: ..., kind: ...} or {between: [..., ...], kind: ...}. One for each arm at
         least.
@@ -193,7 +193,7 @@ class Scene(Spec):
         return next(group for group in self._arm_groups if arm in group.arms)
 
     def links_in_joints(self, robot: str) -> tuple[str, ...]:
-        """The links of a robot that joints name beside its tips."""
+        """The links of a robot that joints name besides its tips."""
         return self._examined["robots", robot].links
 
     def __repr__(self) -> str:

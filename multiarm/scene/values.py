@@ -202,7 +202,7 @@ _ARM_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.\-]*"
 _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 
 
-_BODIES = ("object", "world")  # which joints name beside the links of robots
+_BODIES = ("object", "world")  # which joints name besides the links of robots
 
 
 def _name_of(noun: str, value: Any) -> str:

@@ -215,8 +215,9 @@ def test_followers_move_with_their_leaders_and_start_where_these_put_them(hand):
 
 def test_followers_are_held_where_their_leaders_are(hand):
     tips = {"a": "a2", "b": "b2"}
-    resolved = resolve_robot(RobotSpec(urdf=hand, tips={"b": "b2"}, lock={"j1": 0.6}))
-    assert resolved.joint_names == ("j3",) and resolved.mimic == ()
+    spec = RobotSpec(urdf=hand, tips=tips, lock={"j1": 0.6}, base={"moves": ["x"]})
+    resolved = resolve_robot(spec)
+    assert resolved.joint_names == ("base_x", "j3") and resolved.mimic == ()
     assert resolved.locked == pytest.approx(
         {"j1": 0.6, "j2": -0.2, "j4": -0.4, "side": 0, "k": 0.2}
     )
@@ -322,6 +323,8 @@ def test_joints_name_their_bodies_and_themselves():
         (weld("tiago/lft", "object"), "$.joints[0].between[0]"),
         (weld("tiago", "object"), "$.joints[0].between[0]"),
         (weld("box", "world"), "$.joints[0].between[0]"),
+        (weld("/object", "world"), "$.joints[0].between[0]"),
+        (weld("helper/", "world"), "$.joints[0].between[0]"),
         (weld("helper/tool0", "world"), "$.joints[0].between[0]"),
         (weld("object", "tiago/left"), "$.joints[0].between"),
         (weld("world", "object"), "$.joints[0].between"),
