@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint
+from multiarm.arms.chain import ChainJoint, require_chain
 from multiarm.arms.derivatives import (
     DISPLACEMENT_WIDTH,
     LINK_WIDTH,
@@ -162,7 +162,8 @@ def equation_work(
     """
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
-        structures = [arm.structure() for arm in data.model.arms.values()]
+        arms = data.model.arms.values()
+        structures = [require_chain(arm.structure(), arm.tip.joint) for arm in arms]
         links = arm_links(structures, data.model.constants.gravity)
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))
