@@ -28,8 +28,10 @@ import numpy as np
 
 from multiarm.arms.derivatives import (
     open_displacement,
+    subtract_load,
     subtract_torques,
     write_inverse_dynamics,
+    write_link,
     write_motions,
 )
 from multiarm.contacts.joint import open_frames
@@ -111,9 +113,9 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
 def write_arm(i, data, derivatives):
     """Write the motion of an arm's links, and the last one's as the object sees it."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    write_motions(
-        links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links, arm.link, arm.moved
-    )
+    last = links.first[i + 1] - links.first[i] - 1
+    write_motions(links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links)
+    write_link(links, i, last, arm.links, arm.link, arm.moved)
     seen = motion_relative_to(open_body(arm.link), open_body(arm.body))
     write_seen_motion(arm.body, arm.link, seen, arm.scratch[SEEN])
 
@@ -130,7 +132,8 @@ def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
     R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
     put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_link[of_arm.end])
-    write_inverse_dynamics(links, i, arm.on_link[of_arm.end], arm.links, arm.by_q, arm.by_v)
+    subtract_load(n - 1, arm.on_link[of_arm.end], arm.links)
+    write_inverse_dynamics(links, i, arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
             X[j, of_arm.positions + k] -= arm.by_q[j, k]
@@ -139,7 +142,7 @@ def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
         put_wrench(frame, opposite[0], opposite[1], arm.on_link[c])
-        subtract_torques(n, arm.on_link[c], arm.links, X, c)
+        subtract_torques(links, i, n - 1, arm.on_link[c], arm.links, X, c)
 
 
 @kernel

@@ -27,8 +27,10 @@ from multiarm.arms.derivatives import (
     LINK_WIDTH,
     ArmLinks,
     arm_links,
+    subtract_load,
     subtract_torques,
     write_inverse_dynamics,
+    write_link,
     write_motions,
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
@@ -283,15 +285,15 @@ def differentiate_arm(i, model, data, system, links, work):
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
-        write_motions(
-            links, i, data.state.joint_positions, work.v, work.a_j, work.links, link, work.moved
-        )
+        write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
+        write_link(links, i, n - 1, work.links, link, work.moved)
     else:  # the surroundings are at rest
         clear(link)
         open_body(link).rotation = AXES
     differentiate_joint(model, data, first, last, columns, dF[n:], work)
     if is_arm:
-        write_inverse_dynamics(links, i, work.on_link[C], work.links, work.by_q, work.by_v)
+        subtract_load(n - 1, work.on_link[C], work.links)
+        write_inverse_dynamics(links, i, work.links, work.by_q, work.by_v)
     for j in range(n):
         for k in range(n):
             dF[j, columns.positions + k] = work.by_q[j, k]
@@ -304,7 +306,7 @@ def differentiate_arm(i, model, data, system, links, work):
         if columns.twists <= c < columns.positions or columns.rates <= c < columns.placement:
             continue  # wrenches of contacts do not depend on velocities
         if is_arm:
-            subtract_torques(n, work.on_link[c], work.links, dF, c)
+            subtract_torques(links, i, n - 1, work.on_link[c], work.links, dF, c)
         at = column_of_state(of_all, columns, d0, c)
         if c >= columns.placement:
             at = work.placements + 6 * i + c - columns.placement

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from joint_equations import FINGERTIPS, LOWER_PAIRS, FrameMotion, joint_equations
-from random_structures import (
+from random_trees import (
     FAMILIES,
     REAL_ROBOTS,
     ROWS,

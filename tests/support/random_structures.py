@@ -11,11 +11,17 @@ from scipy.spatial.transform import Rotation
 from multiarm.arms.terms import ArmStructure
 
 
-def random_parents(rng, joints: int, branching: float = 0.4) -> np.ndarray:
-    """Parents of a tree's joints, as :class:`multiarm.arms.terms.ArmStructure` has them."""
-    parents = np.arange(-1, joints - 1)
-    branches = rng.random(joints) < branching
-    parents[branches] = [rng.integers(-1, k) if k else -1 for k in np.flatnonzero(branches)]
+def random_parents(rng, joints: int, branching: float = 0.4) -> list[int]:
+    """Parents of a tree's joints, as :class:`multiarm.arms.terms.ArmStructure` has them.
+
+    A branch is complete before the next one begins: Pinocchio relies on this order.
+    """
+    parents = [-1]
+    for k in range(1, joints):
+        parent = k - 1
+        while parent >= 0 and rng.random() < branching:
+            parent = parents[parent]
+        parents.append(parent)
     return parents
 
 
