@@ -201,8 +201,7 @@ def write_motions(links, i, angles, rates, accelerations, scratch):
 def write_link(links, i, k, scratch, body, moved):
     """Write the motion of link ``k`` of an arm, and how the joints of the arm displace it.
 
-    After :func:`write_motions` with the same scratch.  The links that are fixed to the base have
-    the number -1, and origin and axes of the world.
+    After :func:`write_motions` with the same scratch.
 
     Parameters
     ----------
@@ -214,10 +213,6 @@ def write_link(links, i, k, scratch, body, moved):
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
     for j in range(2 * n):
         clear(moved[j])
-    if k < 0:
-        clear(body)
-        open_body(body).rotation = AXES
-        return
     link, base, gravity = open_link(scratch[k]), vec(links.bases[i], 0), vec(links.gravity, 0)
     p, twist, rate = link.origin, link.twist, link.rate
     write_motion(open_body(body), link.rotation, p, base, twist, rate, gravity)
@@ -264,9 +259,8 @@ def subtract_load(k, wrench, scratch):
     After :func:`write_motions`, before :func:`write_inverse_dynamics`.  The wrench is about the
     link's origin in its axes [N, N m], and stays constant in these.
     """
-    if k >= 0:
-        link = open_link(scratch[k])
-        link.force = sub_pair(link.force, _about_base(link, wrench))
+    link = open_link(scratch[k])
+    link.force = sub_pair(link.force, _about_base(link, wrench))
 
 
 @kernel
@@ -335,8 +329,6 @@ def subtract_torques(links, i, k, wrench, scratch, table, column):
     The wrench is about the link's origin in its axes; the torques of joints that do not move the
     link are zero.
     """
-    if k < 0:
-        return
     about_base = _about_base(open_link(scratch[k]), wrench)
     d0, j = links.first[i], k
     while j >= 0:

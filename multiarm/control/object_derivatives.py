@@ -36,8 +36,8 @@ from multiarm.dynamics.equation_derivatives import (
     add_object_equation,
     differentiate_bodies,
     open_equations,
-    write_body,
     write_derivatives_at_rest,
+    write_object,
 )
 from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, write_multipliers
 from multiarm.dynamics.solver.factors import norm
@@ -74,7 +74,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    write_body(data, data.state.object_twist, command.acceleration, motion)
+    write_object(data, data.state.object_twist, command.acceleration, motion)
     status = differentiate_bodies(struct, derivatives.motion)
     add_object_equation(
         data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
