@@ -77,7 +77,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
     ``derivatives`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-    of_arm, frame = arm_columns(n, False), model.joint_frames[i]
+    of_arm, frame = arm_columns(n, 0), model.joint_frames[i]
     arm = open_equations(derivatives.excess)
     M, held = open_equations(derivatives.motion).M[i], command.preferred
     K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, of_arm.end))
@@ -146,7 +146,7 @@ def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
         for k in range(n):
             X[j, of_arm.positions + k] -= arm.by_q[j, k]
     for c in range(of_arm.rates):
-        write_column_displacement(bodies, of_arm, c, relative, arm)
+        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
         put_wrench(frame, opposite[0], opposite[1], arm.on_first[c])
@@ -181,7 +181,7 @@ def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, 
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     bodies = of_arm.rates - of_arm.positions - 1, OBJECT
     for c in range(of_arm.end):
-        write_column_displacement(bodies, of_arm, c, relative, arm)
+        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
         velocity = add_cross(add_cross(displacement.velocity, dw, m), w, dm)
         write_chart_rate(theta, displacement.turn, turn_rate)

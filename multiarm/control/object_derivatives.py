@@ -123,7 +123,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     add_inverse_dynamics(data, work, motion)
     for i in range(data.control.power.size):  # the surroundings have no joints
         n = work.first_joint[i + 1] - work.first_joint[i]
-        rates = arm_columns(n, False).rates
+        rates = arm_columns(n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
@@ -204,7 +204,7 @@ def differentiate_press(i, law, struct, data, work, derivatives):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
+    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
     for c in range(of_arm.rates):
         if of_arm.twists <= c < of_arm.positions:
             continue

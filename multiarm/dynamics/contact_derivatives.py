@@ -75,7 +75,7 @@ BASE, OBJECT = -1, -2
 
 
 @kernel
-def differentiate_connection(model, data, rows, bodies, columns, gaps, work):
+def differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work):
     """Write what the equations of an arm take from rows between two bodies.
 
     By the C coordinates of :class:`multiarm.dynamics.coordinates.ArmColumns`.
@@ -87,6 +87,8 @@ def differentiate_connection(model, data, rows, bodies, columns, gaps, work):
     bodies : (int, int)
         First and second body as in :func:`write_body_displacement`, whose motions and displacements
         are in ``work`` (:class:`multiarm.dynamics.equation_derivatives.EquationWork`).
+    placement : int
+        First column of a displacement of these contacts.
     gaps : (N_i, C), written
         Derivatives of the second derivatives of the gaps by time; in ``work.rates`` are those of
         the first ones, and in ``on_first`` and ``on_second`` those of the wrenches.
@@ -101,7 +103,7 @@ def differentiate_connection(model, data, rows, bodies, columns, gaps, work):
         differentiate_rows(model, data, first, last, work)
     by = scratch[OF_SEEN]
     for c in range(columns.end):
-        write_column_displacement(bodies, columns, c, seen, work)
+        write_column_displacement(bodies, placement, columns, c, seen, work)
         for k in range(first, last):
             total = rate = 0.0
             for j in range(DISPLACEMENT_WIDTH):
@@ -118,13 +120,16 @@ def differentiate_connection(model, data, rows, bodies, columns, gaps, work):
 
 
 @kernel
-def write_column_displacement(bodies, columns, c, seen, work):
-    """Write how two bodies, and the first one as the second sees it, are displaced in a column."""
+def write_column_displacement(bodies, placement, columns, c, seen, work):
+    """Write how two bodies, and the first one as the second sees it, are displaced in a column.
+
+    From column ``placement`` on, six are displacements of the contacts against the first one.
+    """
     of_first, of_second = work.scratch[OF_FIRST], work.scratch[OF_SECOND]
     write_body_displacement(bodies[0], columns, c, work.first_moved, of_first)
     write_body_displacement(bodies[1], columns, c, work.second_moved, of_second)
-    if c >= columns.placement:
-        displace_contacts(work.first_body, c - columns.placement, of_first)
+    if placement <= c < placement + TWIST:
+        displace_contacts(work.first_body, c - placement, of_first)
     write_seen_displacement(
         work.first_body, work.second_body, seen, of_first, of_second, work.scratch[OF_SEEN]
     )

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint, require_chain
+from multiarm.arms.chain import ChainJoint
 from multiarm.arms.derivatives import (
     DISPLACEMENT_WIDTH,
     LINK_WIDTH,
@@ -81,7 +81,8 @@ class EquationWork(NamedTuple):
     object's acceleration.
     """
 
-    placements: Int  # first of their columns among all; -1 without
+    placements: Int  # first of their columns among all, six for each owner of rows; -1 without
+    first_owner: Ints1  # (n + 1,) of the rows of each arm, see multiarm.dynamics.connections
     # velocities and accelerations of the joints (joints,), contact forces (N,)
     v: Floats1
     a_j: Floats1
@@ -128,9 +129,11 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.rows.parts
     n, N = layout.block_count, layout.contacts
     d, m = max(layout.joint_counts), max(layout.contact_counts)
-    C = arm_columns(d, placements >= 0).end
+    first_owner = np.searchsorted(layout.robot_of, range(n + 1))
+    C = arm_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
     work = EquationWork(
         placements=placements,
+        first_owner=first_owner.astype(np.int64),
         v=np.zeros(layout.joints),
         a_j=np.zeros(layout.joints),
         force=np.zeros(N),
@@ -172,8 +175,7 @@ def equation_work(
     """
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
-        arms = data.model.arms.values()
-        structures = [require_chain(arm.structure(), arm.tip.joint) for arm in arms]
+        structures = [arm.structure() for arm in data.model.arms.values()]
         links = arm_links(structures, data.model.constants.gravity)
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))
@@ -294,8 +296,8 @@ def differentiate_arm(i, model, data, system, links, work):
         clear(dF[k])
     if is_arm:
         write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
-    bodies = (n - 1 if is_arm else BASE), OBJECT
-    add_connection(i, (first, last), bodies, columns, model, data, system, links, work)
+    for c in range(work.first_owner[i], work.first_owner[i + 1]):
+        add_connection(i, c, columns, model, data, system, links, work)
     if is_arm:
         write_inverse_dynamics(links, i, work.links, work.by_q, work.by_v)
     for j in range(n):
@@ -310,19 +312,37 @@ def differentiate_arm(i, model, data, system, links, work):
 
 
 @inlined
-def add_connection(i, rows, bodies, columns, model, data, system, links, work):
-    """Write the derivatives of rows between two bodies, and add those of their wrenches.
+def add_connection(i, owner, columns, model, data, system, links, work):
+    """Write the derivatives of the rows of an owner, and add those of their wrenches.
 
-    After :func:`write_motions` of the arm, before :func:`write_inverse_dynamics`; arguments as of
-    :func:`differentiate_connection`.
+    After :func:`write_motions` of the arm, before :func:`write_inverse_dynamics`.
     """
-    n, before = system.first_joint[i + 1] - system.first_joint[i], system.first_contact[i]
+    n, pairs, first = (
+        system.first_joint[i + 1] - system.first_joint[i],
+        model.connections,
+        data.rows.first,
+    )
+    rows = first[owner], first[owner + 1]
+    bodies = (
+        joint_that_moves(pairs.first[owner], model), joint_that_moves(pairs.second[owner], model)
+    )  # fmt: skip
     write_connected_body(i, bodies[0], links, work, work.first_body, work.first_moved)
     write_connected_body(i, bodies[1], links, work, work.second_body, work.second_moved)
-    gaps = work.dF[i, n + rows[0] - before :]
-    differentiate_connection(model, data, rows, bodies, columns, gaps, work)
+    gaps = work.dF[i, n + rows[0] - system.first_contact[i] :]
+    placement = columns.placement + TWIST * (owner - work.first_owner[i])
+    differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work)
     add_wrench(i, bodies[0], columns, work.on_first, data, system, links, work)
     add_wrench(i, bodies[1], columns, work.on_second, data, system, links, work)
+
+
+@inlined
+def joint_that_moves(body, model):
+    """The joint of its robot that moves a body of a connection, ``BASE`` or ``OBJECT``."""
+    links = model.links
+    if body >= links.robot.size:
+        return OBJECT if body == links.robot.size else BASE
+    length = links.length[body]
+    return links.chain[body, length - 1] if length > 0 else BASE
 
 
 @kernel
@@ -354,9 +374,7 @@ def add_wrench(i, body, columns, wrench, data, system, links, work):
         if body >= 0:
             subtract_torques(links, i, body, wrench[c], work.links, work.dF[i], c)
         elif body == OBJECT:
-            at = column_of_state(equation_columns(data), columns, system.first_joint[i], c)
-            if c >= columns.placement:
-                at = work.placements + 6 * i + c - columns.placement
+            at = column_of_all(i, equation_columns(data), columns, system.first_joint[i], c, work)
             subtract_object_wrench(c, at, wrench[columns.end], wrench[c], work)
 
 
@@ -378,8 +396,17 @@ def subtract_object_wrench(c, at, wrench, slope, work):
 
 @inlined
 def columns_of_arm(i, n, links, work):
-    """The first columns of an arm; the surroundings have no placement."""
-    return arm_columns(n, i < links.first.size - 1 and work.placements >= 0)
+    """The first columns of an arm; the surroundings have no placements."""
+    placed = i < links.first.size - 1 and work.placements >= 0
+    return arm_columns(n, work.first_owner[i + 1] - work.first_owner[i] if placed else 0)
+
+
+@inlined
+def column_of_all(i, at, columns, d0, c, work):
+    """Place among all columns ``at`` of a column of arm ``i``, whose joints begin at ``d0``."""
+    if c < columns.placement:
+        return column_of_state(at, columns, d0, c)
+    return work.placements + TWIST * work.first_owner[i] + c - columns.placement
 
 
 @inlined
@@ -587,5 +614,6 @@ def add_arm_columns(weight, values, i, d0, n, columns, of_all, work, row):
         row[at.positions + d0 + k] += weight * values[columns.positions + k]
         row[at.rates + d0 + k] += weight * values[columns.rates + k]
         row[at.torques + d0 + k] += weight * values[columns.end + k]
+    first = work.placements + TWIST * work.first_owner[i]
     for k in range(columns.end - columns.placement):
-        row[work.placements + 6 * i + k] += weight * values[columns.placement + k]
+        row[first + k] += weight * values[columns.placement + k]
