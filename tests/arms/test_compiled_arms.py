@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -431,8 +432,13 @@ def unusual(panda, *joints) -> Arm:
     for parent, joint in joints:
         joint_of(model, parent, joint)
     panda.model, panda.joint_names = model, tuple(model.names[1:])
-    panda.dof, panda.tip.joint = model.nv, model.njoints - 1
-    return panda
+    panda.dof = model.nv
+    return with_tip_on(panda, model.njoints - 1)
+
+
+def with_tip_on(arm: Arm, joint: int) -> Arm:
+    arm.tips = {"": replace(arm.tip, joint=joint)}
+    return arm
 
 
 def test_what_no_table_describes_is_said_in_words(panda):
@@ -450,8 +456,7 @@ def test_branches_stay_with_pinocchio(panda, parents):
 
 def test_joints_after_the_tip_stay_with_pinocchio(panda):
     hinge = pin.JointModelRX()
-    long = unusual(panda, (0, hinge), (1, hinge))
-    long.tip.joint = 1
+    long = with_tip_on(unusual(panda, (0, hinge), (1, hinge)), 1)
     backend, reasons = compile_arms({"long": long}, GRAVITY)
     assert backend is None and reasons == {"long": "joints follow after its tip"}
 

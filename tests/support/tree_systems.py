@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 from mechanics import scene_of
-from random_trees import random_tree
+from random_structures import random_tree
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
@@ -32,7 +32,7 @@ def tree_system(monkeypatch, folder: Path, rng, parents, connections) -> System:
     """A tree on a base somewhere.
 
     ``connections`` are kinds of joints by first and second body: ``object``, ``world``, or a link
-    ``l1``, ``l2``, ... of :func:`random_trees.random_tree` (``l0``: the root).
+    ``l1``, ``l2``, ... of :func:`random_structures.random_tree` (``l0``: the root).
     """
     (folder / "tree.urdf").write_text(random_tree(rng, parents))
     tips = {name for pair in connections for name in pair} - {"object", "world"}
