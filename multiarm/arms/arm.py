@@ -276,7 +276,7 @@ class Arm:
         Raises
         ------
         ModelError
-            When it is not a chain of revolute and prismatic joints that ends at the tip.
+            When a joint turns and slides at once.
         """
         model = self.model
         links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
@@ -284,11 +284,8 @@ class Arm:
         if np.any(turns & slides):
             names = ", ".join(np.array(self.joint_names)[turns & slides])
             raise ModelError(f"{names} turns and slides at once")
-        if list(model.parents[1:]) != list(range(model.njoints - 1)):
-            raise ModelError("it has branches")
-        if self.tip.joint != model.njoints - 1:
-            raise ModelError("joints follow after its tip")
         return ArmStructure(
+            parents=np.array(model.parents[1:], dtype=np.int64) - 1,
             slides=slides,
             axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
             rotations=np.array([model.jointPlacements[k].rotation for k in links]),

@@ -1,10 +1,10 @@
-r"""Chains of rigid bodies: the table of their joints, and the equations of one joint and its link.
+r"""Trees of rigid bodies: the table of their joints, and the equations of one joint and its link.
 
 Every joint turns about, or slides along, the z axis of its own frame.  All vectors are in world
-axes; moments, velocities and columns are about the chain's base, so that no digits are lost far
-from the world's origin.  Twists :math:`(v, \omega)` and wrenches are pairs of vectors, and
-:math:`\times` is the product of two twists.  With ``z`` and ``p`` axis and origin of a joint its
-column is
+axes; moments, velocities and columns are about the tree's base, the origin of its first joint, so
+that no digits are lost far from the world's origin.  Twists :math:`(v, \omega)` and wrenches are
+pairs of vectors, and :math:`\times` is the product of two twists.  With ``z`` and ``p`` axis and
+origin of a joint its column is
 
 .. math::
     S_j = \begin{bmatrix} p\times z\\ z\end{bmatrix} \text{ (turning)}, \qquad
@@ -39,6 +39,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.terms import ArmStructure
+from multiarm.errors import ModelError
 from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import inlined
 from multiarm.jit.rows import Axes, Number, Symmetric, Vector, as_row, fields_of, width
@@ -62,7 +63,7 @@ from multiarm.jit.vectors import (
 class ChainJoint(NamedTuple):
     """Constants of a joint, and of the link that it moves in the joint's frame."""
 
-    # its frame at zero in that of the joint before; the first joint's origin is the chain's base
+    # its frame at zero in that of its parent; without one, from the tree's base in world axes
     axes: Axes
     offset: Vector  # [m]
     centre: Vector  # [m]
@@ -78,14 +79,18 @@ JOINT_WIDTH = width(ChainJoint)
 
 
 def chain_joints(arm: ArmStructure) -> np.ndarray:
-    """The joints of an arm, shape (n, 34)."""
-    rows, before = [], np.eye(3)
-    for k in range(arm.masses.size):
-        turned = _turned_to_z(arm.axes[k])
+    """The joints of an arm, shape (n, 34); their parents are ``arm.parents``."""
+    rows, turns = [], [_turned_to_z(axis) for axis in arm.axes]
+    for k, (parent, turned) in enumerate(zip(arm.parents, turns, strict=True)):
         inertia = turned.T @ arm.inertias[k] @ turned
+        if parent < 0:
+            in_parent, offset = np.eye(3), arm.translations[k] - arm.translations[0]
+        else:
+            in_parent = turns[parent].T
+            offset = in_parent @ arm.translations[k]
         joint = ChainJoint(
-            axes=before.T @ arm.rotations[k] @ turned,
-            offset=before.T @ arm.translations[k] if k > 0 else np.zeros(3),
+            axes=in_parent @ arm.rotations[k] @ turned,
+            offset=offset,
             centre=turned.T @ arm.centres[k],
             mass=arm.masses[k],
             inertia=inertia[np.triu_indices(3)],
@@ -95,8 +100,25 @@ def chain_joints(arm: ArmStructure) -> np.ndarray:
             link_axes=turned.T,
         )
         rows.append(as_row(joint))
-        before = turned
     return np.array(rows)
+
+
+def require_chain(arm: ArmStructure, tip_joint: int) -> ArmStructure:
+    """The arm, where its joints are a chain and the last one carries the tip.
+
+    ``tip_joint`` is Pinocchio's number of the joint that carries the tip.
+
+    Raises
+    ------
+    ModelError
+        When it has branches, or joints after the tip.
+    """
+    joints = arm.parents.size
+    if not np.array_equal(arm.parents, np.arange(-1, joints - 1)):
+        raise ModelError("it has branches")
+    if tip_joint != joints:
+        raise ModelError("joints follow after its tip")
+    return arm
 
 
 def joints_at_rest(count: int) -> np.ndarray:
@@ -119,13 +141,13 @@ def _turned_to_z(axis: np.ndarray) -> np.ndarray:
 
 @inlined
 def frame_after(joint, axes, p):
-    """Axes and origin of a joint's frame at zero from those of the joint before."""
+    """Axes and origin of a joint's frame at zero from those of its parent."""
     return compose(axes, joint.axes), add_rotated(p, axes, joint.offset)
 
 
 @inlined
 def next_frame(joint, axes, p, position, sine, cosine):
-    """Axes and origin of a joint's frame from those of the joint before.
+    """Axes and origin of a joint's frame from those of its parent.
 
     ``sine`` and ``cosine`` are those of its angle: 0 and 1 where it slides.
     """
@@ -144,7 +166,7 @@ def column_of(joint, z, p):
 
 @inlined
 def write_motion(body, rotation, p, base, twist, rate, gravity):
-    """Write the motion of a link with origin ``p``, of a chain at ``base`` in the world.
+    """Write the motion of a link with origin ``p``, of a tree at ``base`` in the world.
 
     ``rate`` is that of the twist, with the base accelerated by minus gravity.
     """

@@ -1,31 +1,37 @@
-r"""Derivatives of arms: of the motion of the link that carries the tip, of the inverse dynamics.
+r"""Derivatives of arms: of the motion of their links, of the inverse dynamics.
 
-An arm is a chain of rigid bodies with the equations of :mod:`multiarm.arms.chain`;
+An arm is a tree of rigid bodies with the equations of :mod:`multiarm.arms.chain`;
 :math:`\times^*` is the product of a twist and a wrench.  Outwards, with the base accelerated by
-minus gravity,
+minus gravity, and with p the parent of joint j,
 
 .. math::
-    v_j = v_{j-1} + S_j \dot q_j, \qquad
-    a_j = a_{j-1} + S_j \ddot q_j + v_j \times S_j \dot q_j, \\
+    v_j = v_p + S_j \dot q_j, \qquad
+    a_j = a_p + S_j \ddot q_j + v_j \times S_j \dot q_j, \\
     \dot\Psi_j = v_j \times S_j, \qquad
     \ddot\Psi_j = a_j \times S_j + v_j \times \dot\Psi_j .
 
-*The link* with twist v and acceleration a moves, for a displacement of one joint before it,
+*A link* with twist v and acceleration a moves, for a displacement of a joint of its *chain*, which
+are the joints from the base to the link,
 
 .. math::
     \delta v &= \dot\Psi_j + S_j\times v, \qquad
     \delta a = \ddot\Psi_j + \dot\Psi_j\times v + S_j\times a \quad &&\text{(of its position)} \\
-    \delta v &= S_j, \qquad \delta a = 2\dot\Psi_j + S_j\times v \quad &&\text{(of its rate)} .
+    \delta v &= S_j, \qquad \delta a = 2\dot\Psi_j + S_j\times v \quad &&\text{(of its rate)} ,
+
+and not at all for one of any other joint.
 
 *Inverse dynamics.*  The force f that moves a link changes with its twist by
 :math:`2 B m + I (v\times m)`, I the inertia about the base.  Inwards, I, B and f of all links
-beyond a joint are summed, f without a load that is fixed in its link.  For j at or before i,
+beyond a joint are summed, f without the loads that are fixed in these links.  For j in the chain
+of i,
 
 .. math::
     \frac{\partial\tau_j}{\partial q_i} &= S_j\cdot(I\ddot\Psi_i + 2B\dot\Psi_i + S_i\times^* f),
     \qquad & \frac{\partial\tau_i}{\partial q_j} &= S_i\cdot(I\ddot\Psi_j + 2B\dot\Psi_j) \\
     \frac{\partial\tau_j}{\partial\dot q_i} &= S_j\cdot 2(I\dot\Psi_i + B S_i),
-    \qquad & \frac{\partial\tau_i}{\partial\dot q_j} &= S_i\cdot 2(I\dot\Psi_j + B S_j) .
+    \qquad & \frac{\partial\tau_i}{\partial\dot q_j} &= S_i\cdot 2(I\dot\Psi_j + B S_j) ;
+
+for joints of two branches all four are zero.
 
 Reference: S. Singh, R.P. Russell, P.M. Wensing, Efficient Analytical Derivatives of Rigid-Body
 Dynamics Using Spatial Vector Algebra, IEEE Robotics and Automation Letters 7, 2022; written out
@@ -94,6 +100,7 @@ class Displacement(NamedTuple):
 class Link(NamedTuple):
     """A joint and its link: their motion; then, of all links beyond, their inertia and force."""
 
+    axes: Axes  # of the joint's frame
     rotation: Rotation  # axes of the link
     origin: Vector
     column: Pair
@@ -111,7 +118,7 @@ class Link(NamedTuple):
 
 DISPLACEMENT_WIDTH, LINK_WIDTH = width(Displacement), width(Link)
 open_displacement, open_joint = row_of(Displacement), row_of(ChainJoint)
-_open_link = row_of(Link)
+open_link = row_of(Link)
 
 
 class ArmLinks(NamedTuple):
@@ -121,6 +128,8 @@ class ArmLinks(NamedTuple):
     ----------
     first : int64 ndarray, shape (n + 1,)
         First joint of each arm.
+    parents : int64 ndarray, shape (joints,)
+        As in :class:`multiarm.arms.terms.ArmStructure`, counted from the arm's first joint.
     joints : ndarray, shape (joints, 34)
         Every :class:`multiarm.arms.chain.ChainJoint`.
     bases : ndarray, shape (n, 3)
@@ -129,6 +138,7 @@ class ArmLinks(NamedTuple):
     """
 
     first: Ints1
+    parents: Ints1
     joints: Floats2
     bases: Floats2
     gravity: Floats1
@@ -137,7 +147,8 @@ class ArmLinks(NamedTuple):
 def arm_links(arms: Sequence[ArmStructure], gravity: np.ndarray) -> ArmLinks:
     """The joints and links of some arms."""
     return ArmLinks(
-        np.cumsum([0, *(arm.slides.size for arm in arms)]).astype(np.int64),
+        np.cumsum([0, *(arm.parents.size for arm in arms)]).astype(np.int64),
+        np.concatenate([arm.parents for arm in arms]),
         np.concatenate([chain_joints(arm) for arm in arms]),
         np.array([arm.translations[0] for arm in arms]),
         np.array(gravity, dtype=float),
@@ -145,8 +156,8 @@ def arm_links(arms: Sequence[ArmStructure], gravity: np.ndarray) -> ArmLinks:
 
 
 @kernel
-def write_motions(links, i, angles, rates, accelerations, scratch, body, moved):
-    """Write the motions of an arm's links, and how the one that carries the tip is displaced.
+def write_motions(links, i, angles, rates, accelerations, scratch):
+    """Write the motions of an arm's links.
 
     Parameters
     ----------
@@ -155,26 +166,25 @@ def write_motions(links, i, angles, rates, accelerations, scratch, body, moved):
         Number of the arm.
     angles, rates, accelerations : (joints,)
         Of all arms.
-    scratch : (n_i, 70), written
+    scratch : (n_i, 79), written
         Every :class:`Link`.
-    body : (24,), written
-        Motion of the link that carries the tip, world axes.
-    moved : (2 n_i, 18), written
-        Its displacement by the positions, and by the velocities, world axes.
     """
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
-    base, gravity = vec(links.bases[i], 0), vec(links.gravity, 0)
-    axes, p, twist, rate = AXES, ZERO, (ZERO, ZERO), (scale(-1.0, gravity), ZERO)
+    at_base = (scale(-1.0, vec(links.gravity, 0)), ZERO)
     for k in range(n):
-        joint, link, q = open_joint(links.joints[d0 + k]), _open_link(scratch[k]), angles[d0 + k]
-        angle = joint.turns * q
+        joint, link, q = open_joint(links.joints[d0 + k]), open_link(scratch[k]), angles[d0 + k]
+        angle, parent = joint.turns * q, links.parents[d0 + k]
+        axes, p, twist, rate = AXES, ZERO, (ZERO, ZERO), at_base
+        if parent >= 0:
+            before = open_link(scratch[parent])
+            axes, p, twist, rate = before.axes, before.origin, before.twist, before.rate
         axes, p = next_frame(joint, axes, p, q, math.sin(angle), math.cos(angle))
         S = column_of(joint, axes[2], p)
         twist = add_scaled_pair(twist, rates[d0 + k], S)
         column_rate = twist_product(twist, S)
         rate = add_scaled_pair(rate, accelerations[d0 + k], S)
         rate = add_scaled_pair(rate, rates[d0 + k], column_rate)
-        link.rotation, link.origin = compose(axes, joint.link_axes), p
+        link.axes, link.rotation, link.origin = axes, compose(axes, joint.link_axes), p
         link.column, link.twist, link.rate, link.column_rate = S, twist, rate, column_rate
         link.column_acceleration = add_pair(
             twist_product(rate, S), twist_product(twist, column_rate)
@@ -185,12 +195,32 @@ def write_motions(links, i, angles, rates, accelerations, scratch, body, moved):
         link.momentum, _ = times_inertia(mass, moment, second, twist)
         link.turning = twice_turning_matrix(moment, second, twist[0], twist[1])
         link.force = inertial_force(inertia, twist, rate)
-    tip = _open_link(scratch[n - 1])
-    write_motion(open_body(body), tip.rotation, p, base, twist, rate, gravity)
-    for j in range(n):
-        displace_by_position(_open_link(scratch[j]), p, twist, rate, open_displacement(moved[j]))
-        clear(moved[n + j])
-        displace_by_rate(_open_link(scratch[j]), p, twist, open_displacement(moved[n + j]))
+
+
+@kernel
+def write_link(links, i, k, scratch, body, moved):
+    """Write the motion of link ``k`` of an arm, and how the joints of the arm displace it.
+
+    After :func:`write_motions` with the same scratch.
+
+    Parameters
+    ----------
+    body : (24,), written
+        Its :class:`multiarm.contacts.motion.BodyMotion`.
+    moved : (2 n_i, 18), written
+        Its :class:`Displacement` by the positions, and by the velocities, world axes.
+    """
+    d0, n = links.first[i], links.first[i + 1] - links.first[i]
+    for j in range(2 * n):
+        clear(moved[j])
+    link, base, gravity = open_link(scratch[k]), vec(links.bases[i], 0), vec(links.gravity, 0)
+    p, twist, rate = link.origin, link.twist, link.rate
+    write_motion(open_body(body), link.rotation, p, base, twist, rate, gravity)
+    j = k
+    while j >= 0:
+        displace_by_position(open_link(scratch[j]), p, twist, rate, open_displacement(moved[j]))
+        displace_by_rate(open_link(scratch[j]), p, twist, open_displacement(moved[n + j]))
+        j = links.parents[d0 + j]
 
 
 @inlined
@@ -223,18 +253,29 @@ def displace_by_rate(link, p, twist, out):
 
 
 @kernel
-def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
+def subtract_load(k, wrench, scratch):
+    """Subtract a wrench (6,) on link ``k`` from the forces that move the arm's links.
+
+    After :func:`write_motions`, before :func:`write_inverse_dynamics`.  The wrench is about the
+    link's origin in its axes [N, N m], and stays constant in these.
+    """
+    link = open_link(scratch[k])
+    link.force = sub_pair(link.force, _about_base(link, wrench))
+
+
+@kernel
+def write_inverse_dynamics(links, i, scratch, by_q, by_v):
     """Write the derivatives of an arm's inverse dynamics, ``M q'' + b - J^T f``.
 
-    By positions and velocities, (n_i, n_i) each, after :func:`write_motions` with the same scratch,
-    which is used up.  ``load`` (6,) is the wrench f on the link that carries the tip, about its
-    origin in its axes [N, N m]; it stays constant in these.
+    By positions and velocities, (n_i, n_i) each, after :func:`write_motions`, and after
+    :func:`subtract_load` for every wrench f on a link, with the same scratch, which is used up.
     """
-    n = links.first[i + 1] - links.first[i]
-    tip = _open_link(scratch[n - 1])
-    tip.force = sub_pair(tip.force, _about_base(tip, load))
+    d0, n = links.first[i], links.first[i + 1] - links.first[i]
+    for k in range(n):
+        clear(by_q[k])
+        clear(by_v[k])
     for k in range(n - 1, -1, -1):
-        link = _open_link(scratch[k])
+        link = open_link(scratch[k])
         S, rate, f = link.column, link.column_rate, link.force
         m, h, inertia = link.mass, link.moment, link.second
         P, G = link.momentum, link.turning
@@ -253,14 +294,16 @@ def write_inverse_dynamics(links, i, load, scratch, by_q, by_v):
         momentum = times_inertia(m, h, inertia, S)
         turning = add_scaled(rotate_back(G, S[1]), 2.0, cross(P, S[0]))
         by_q[k, k], by_v[k, k] = power(S, of_q), power(S, of_v)
-        for j in range(k):
-            before = _open_link(scratch[j])
+        j = parent = links.parents[d0 + k]
+        while j >= 0:
+            before = open_link(scratch[j])
             S_j, rate_j = before.column, before.column_rate
             by_q[j, k], by_v[j, k] = power(S_j, of_q), power(S_j, of_v)
             by_q[k, j] = power(before.column_acceleration, momentum) + dot(rate_j[1], turning)
             by_v[k, j] = 2.0 * power(rate_j, momentum) + dot(S_j[1], turning)
-        if k > 0:
-            _add_beyond(_open_link(scratch[k - 1]), link)
+            j = links.parents[d0 + j]
+        if parent >= 0:
+            _add_beyond(open_link(scratch[parent]), link)
 
 
 @inlined
@@ -280,18 +323,21 @@ def _add_beyond(link, beyond):
 
 
 @kernel
-def subtract_torques(n, wrench, scratch, table, column):
-    """Subtract the torques of a wrench (6,) on the link that carries the tip from a column.
+def subtract_torques(links, i, k, wrench, scratch, table, column):
+    """Subtract the torques of a wrench (6,) on link ``k`` of an arm from a column.
 
-    The wrench is about the link's origin in its axes.
+    The wrench is about the link's origin in its axes; the torques of joints that do not move the
+    link are zero.
     """
-    about_base = _about_base(_open_link(scratch[n - 1]), wrench)
-    for j in range(n):
-        table[j, column] -= power(_open_link(scratch[j]).column, about_base)
+    about_base = _about_base(open_link(scratch[k]), wrench)
+    d0, j = links.first[i], k
+    while j >= 0:
+        table[j, column] -= power(open_link(scratch[j]).column, about_base)
+        j = links.parents[d0 + j]
 
 
 @inlined
-def _about_base(tip, wrench):
-    R = tip.rotation
+def _about_base(link, wrench):
+    R = link.rotation
     force = rotate(R, vec(wrench, 0))
-    return force, add_cross(rotate(R, vec(wrench, 3)), tip.origin, force)
+    return force, add_cross(rotate(R, vec(wrench, 3)), link.origin, force)

@@ -171,14 +171,16 @@ class Coriolis(NamedTuple):
 
 
 class ArmStructure(NamedTuple):
-    """Structure of an arm: a chain of ``n`` joints, each with the link that it moves.
+    """Structure of an arm: a tree of ``n`` joints, each with the link that it moves.
 
+    parents : int64 (n,)
+        Number of the joint before each joint, counted from 0, less than its own; -1: the base.
     slides : bool (n,)
         Prismatic joints; the others are revolute.
     axes : (n, 3)
         Unit vector of the joint's motion, in its own frame.
     rotations, translations : (n, 3, 3), (n, 3)
-        The joint's frame at zero in that of the joint before; of the first in the world [m].
+        The joint's frame at zero in that of its parent; without one, in the world [m].
     masses, centres, inertias : (n,), (n, 3), (n, 3, 3)
         Of the link [kg], its centre of mass [m] and inertia about it [kg m^2], in the joint's
         frame.
@@ -186,6 +188,7 @@ class ArmStructure(NamedTuple):
         Inertia of the drive reflected to the joint [kg m^2 or kg].
     """
 
+    parents: np.ndarray
     slides: np.ndarray
     axes: np.ndarray
     rotations: np.ndarray

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.chain import ChainJoint
+from multiarm.arms.chain import ChainJoint, require_chain
 from multiarm.arms.terms import ArmStructure
 from multiarm.assembly.reaching import REACHED, chain_to, reach_place, write_pose
 from multiarm.jit.rows import fields_of
@@ -116,7 +116,7 @@ class InverseKinematics:
         to_limits: bool = False,
     ) -> None:
         self.arm = arm
-        self._structure, tip = arm.structure(), np.eye(4)
+        self._structure, tip = require_chain(arm.structure(), arm.tip.joint), np.eye(4)
         tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
         self._end = end = tip if frame is None else tip @ frame
         self._to_limits = to_limits
@@ -294,6 +294,7 @@ def _on_joints(
     still = ArmStructure(*(np.zeros((len(axes), *part.shape[1:])) for part in arm))
     both = ArmStructure(*map(np.concatenate, zip(still, arm, strict=True)))
     return both._replace(
+        parents=np.arange(-1, both.masses.size - 1),
         slides=np.append(slides, arm.slides),
         axes=np.vstack([*axes, arm.axes]),
         rotations=np.concatenate([frames[:, :3, :3], arm.rotations[1:]]),

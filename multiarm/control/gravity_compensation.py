@@ -148,7 +148,7 @@ def write_derivatives_at_fixed_multipliers(address, size, at, _t):
             balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        of_arm = arm_columns(work.first_joint[i + 1] - d0, False)
+        of_arm = arm_columns(work.first_joint[i + 1] - d0, 0)
         for k in range(r0, work.first_contact[i + 1]):
             for c in range(of_arm.rates):
                 if c < of_arm.twists or c >= of_arm.positions:  # y is no velocity of the state

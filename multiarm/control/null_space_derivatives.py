@@ -28,6 +28,7 @@ import numpy as np
 
 from multiarm.arms.derivatives import (
     open_displacement,
+    subtract_load,
     subtract_torques,
     write_inverse_dynamics,
     write_motions,
@@ -35,13 +36,20 @@ from multiarm.arms.derivatives import (
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import motion_relative_to, open_body
 from multiarm.dynamics.contact_derivatives import (
+    OBJECT,
     OF_SEEN,
     SEEN,
     write_column_displacement,
     write_seen_motion,
 )
 from multiarm.dynamics.coordinates import arm_columns
-from multiarm.dynamics.equation_derivatives import AT_REST, open_equations, open_links, write_body
+from multiarm.dynamics.equation_derivatives import (
+    AT_REST,
+    open_equations,
+    open_links,
+    write_connected_body,
+    write_object,
+)
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, kernel
@@ -69,7 +77,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
     ``derivatives`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-    of_arm, frame = arm_columns(n, False), model.joint_frames[i]
+    of_arm, frame = arm_columns(n, 0), model.joint_frames[i]
     arm = open_equations(derivatives.excess)
     M, held = open_equations(derivatives.motion).M[i], command.preferred
     K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, of_arm.end))
@@ -80,7 +88,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
         for k in range(n):
             K[j, k] = M[j, k]
             X[j, of_arm.rates + k] = -law.free_rate * M[j, k]
-    write_body(data, AT_REST, AT_REST, arm)
+    write_object(data, AT_REST, AT_REST, arm)
     write_arm(i, data, derivatives)
     subtract_torque_slopes(i, of_arm, frame, command.held[i], derivatives, X)
     for j in range(n):
@@ -90,7 +98,7 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
         subtract_slopes(of_arm, frame, 1.0, 0.0, 0.0, turn_rate, derivatives, X[n:])
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
-    write_body(data, data.state.object_twist, command.acceleration, arm)
+    write_object(data, data.state.object_twist, command.acceleration, arm)
     write_arm(i, data, derivatives)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
@@ -109,13 +117,14 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
 
 @kernel
 def write_arm(i, data, derivatives):
-    """Write the motion of an arm's links, and the last one's as the object sees it."""
+    """Write the motion of an arm's links, and that of the last one as the object sees it."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    write_motions(
-        links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links, arm.link, arm.moved
-    )
-    seen = motion_relative_to(open_body(arm.link), open_body(arm.body))
-    write_seen_motion(arm.body, arm.link, seen, arm.scratch[SEEN])
+    last = links.first[i + 1] - links.first[i] - 1
+    write_motions(links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links)
+    write_connected_body(i, last, links, arm, arm.first_body, arm.first_moved)
+    write_connected_body(i, OBJECT, links, arm, arm.second_body, arm.second_moved)
+    seen = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
+    write_seen_motion(arm.first_body, arm.second_body, seen, arm.scratch[SEEN])
 
 
 @kernel
@@ -126,20 +135,22 @@ def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
     """
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
     n = of_arm.rates - of_arm.positions
-    relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
-    R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
+    bodies = n - 1, OBJECT
+    relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
+    R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
-    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_link[of_arm.end])
-    write_inverse_dynamics(links, i, arm.on_link[of_arm.end], arm.links, arm.by_q, arm.by_v)
+    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_first[of_arm.end])
+    subtract_load(n - 1, arm.on_first[of_arm.end], arm.links)
+    write_inverse_dynamics(links, i, arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
             X[j, of_arm.positions + k] -= arm.by_q[j, k]
     for c in range(of_arm.rates):
-        write_column_displacement(of_arm, c, relative, arm)
+        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
-        put_wrench(frame, opposite[0], opposite[1], arm.on_link[c])
-        subtract_torques(n, arm.on_link[c], arm.links, X, c)
+        put_wrench(frame, opposite[0], opposite[1], arm.on_first[c])
+        subtract_torques(links, i, n - 1, arm.on_first[c], arm.links, X, c)
 
 
 @kernel
@@ -158,13 +169,19 @@ def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, 
     arm, frames = open_equations(derivatives.excess), open_frames(frame)
     commanded = derivatives.acceleration
     seen, displacement = open_body(arm.scratch[SEEN]), open_displacement(arm.scratch[OF_SEEN])
-    R_o, R, w, w_rate = open_body(arm.body).rotation, seen.rotation, seen.spin, seen.spin_rate
+    R_o, R, w, w_rate = (
+        open_body(arm.second_body).rotation,
+        seen.rotation,
+        seen.spin,
+        seen.spin_rate,
+    )
     m, on_arm, G = rotate(R, frames.origin_on_link), compose(R, frames.on_link), frames.on_object
     turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
     theta = rotate(G, rotation_vector(turned))
-    relative = motion_relative_to(open_body(arm.link), open_body(arm.body))
+    relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
+    bodies = of_arm.rates - of_arm.positions - 1, OBJECT
     for c in range(of_arm.end):
-        write_column_displacement(of_arm, c, relative, arm)
+        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
         velocity = add_cross(add_cross(displacement.velocity, dw, m), w, dm)
         write_chart_rate(theta, displacement.turn, turn_rate)
@@ -188,10 +205,10 @@ def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, 
 @kernel
 def write_jacobian(n, frame, arm, K):
     """Write J, and ``-J^T`` beside the inertia."""
-    R_o, R = open_body(arm.body).rotation, open_body(arm.scratch[SEEN]).rotation
+    R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
     m = rotate(R, open_frames(frame).origin_on_link)
     for j in range(n):
-        displacement = open_displacement(arm.moved[n + j])
+        displacement = open_displacement(arm.first_moved[n + j])
         turn = rotate_back(R_o, displacement.spin)
         slide = add_cross(rotate_back(R_o, displacement.velocity), turn, m)
         for k in range(3):

@@ -36,8 +36,8 @@ from multiarm.dynamics.equation_derivatives import (
     add_object_equation,
     differentiate_bodies,
     open_equations,
-    write_body,
     write_derivatives_at_rest,
+    write_object,
 )
 from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, write_multipliers
 from multiarm.dynamics.solver.factors import norm
@@ -74,7 +74,7 @@ def write_computed_torque_derivatives(address, size, at, t):
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    write_body(data, data.state.object_twist, command.acceleration, motion)
+    write_object(data, data.state.object_twist, command.acceleration, motion)
     status = differentiate_bodies(struct, derivatives.motion)
     add_object_equation(
         data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
@@ -123,7 +123,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     add_inverse_dynamics(data, work, motion)
     for i in range(data.control.power.size):  # the surroundings have no joints
         n = work.first_joint[i + 1] - work.first_joint[i]
-        rates = arm_columns(n, False).rates
+        rates = arm_columns(n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
@@ -204,7 +204,7 @@ def differentiate_press(i, law, struct, data, work, derivatives):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, False), force_columns(data)
+    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
     for c in range(of_arm.rates):
         if of_arm.twists <= c < of_arm.positions:
             continue

@@ -1,8 +1,8 @@
-r"""Derivatives of the contact rows of a joint with respect to the relative motion of its bodies.
+r"""Derivatives of the contact rows between two bodies with respect to their relative motion.
 
-Seen from the object, and in its axes, an arm's link has the pose :math:`X`, the velocity
-:math:`V = (v, \omega)` of its origin and the acceleration :math:`A = (a, \alpha)`.  All rows of the
-joint depend on these only:
+Seen from the second body, and in its axes, the first one has the pose :math:`X`, the velocity
+:math:`V = (v, \omega)` of its origin and the acceleration :math:`A = (a, \alpha)`.  All rows depend
+on these only, and so does the wrench :math:`w` of their forces on the second body:
 
 .. math::
     \ddot\varphi_k = g_k(X)\cdot A + Q_k(X, V), \qquad
@@ -14,8 +14,8 @@ the pose would need third derivatives of all surfaces; they are central differen
 of single rows, :math:`f' = (8 (f_1 - f_{-1}) - f_2 + f_{-2}) / 12 h`, whose errors are about 1e-11
 of the row: truncation :math:`h^4 f^{(5)} / 30`, roundings :math:`\epsilon f / h`.
 
-*Tips on planes of the object*, of which welds and balls consist, have closed forms.  With the
-plane's normal n, and the tip at d from the link's origin,
+*Tips on planes of the second body*, of which welds and balls consist, have closed forms.  With the
+plane's normal n, and the tip at d from the first body's origin,
 
 .. math::
     \dot\varphi &= n\cdot(v + \omega\times d), \qquad
@@ -41,7 +41,7 @@ from multiarm.contacts.table import JOINT, ON_PLANE, open_code, open_geometry
 from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.geometry.stencils import CENTRAL_4
-from multiarm.jit.kernels import clear, inlined, kernel
+from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
     AXES,
@@ -67,30 +67,43 @@ SHIFT, VELOCITY, ACCELERATION = (
 )
 # Row of the wrenches with the value, after its derivatives by the pose that is seen.
 VALUE = TWIST
-# Rows of scratch: displacements of object and link, and of the link as the object sees it; its seen
-# motion, as it is and displaced; the object's, at rest.
-OF_BODY, OF_LINK, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
+# Rows of scratch: displacements of both bodies, and of the first as the second sees it; its seen
+# motion, as it is and displaced; the second's, at rest.
+OF_FIRST, OF_SECOND, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
+# Bodies that no joint of the arm moves: the base, and with it the world; the object.
+BASE, OBJECT = -1, -2
 
 
 @kernel
-def differentiate_joint(model, data, first, last, columns, gaps, work):
-    """Write what the equations of an arm take from its joint, rows ``first`` to ``last``.
+def differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work):
+    """Write what the equations of an arm take from rows between two bodies.
 
-    By the C coordinates of :class:`multiarm.dynamics.coordinates.ArmColumns`.  Written: ``gaps``
-    (N_i, C), the derivatives of the second derivatives of the joint's gaps by time, and in ``work``
-    (:class:`multiarm.dynamics.equation_derivatives.EquationWork`) ``rates``, those of the first
-    ones, ``on_object`` and ``on_link``.
+    By the C coordinates of :class:`multiarm.dynamics.coordinates.ArmColumns`.
+
+    Parameters
+    ----------
+    rows : (int, int)
+        First row and end.
+    bodies : (int, int)
+        First and second body as in :func:`write_body_displacement`, whose motions and displacements
+        are in ``work`` (:class:`multiarm.dynamics.equation_derivatives.EquationWork`).
+    placement : int
+        First column of a displacement of these contacts.
+    gaps : (N_i, C), written
+        Derivatives of the second derivatives of the gaps by time; in ``work.rates`` are those of
+        the first ones, and in ``on_first`` and ``on_second`` those of the wrenches.
     """
-    body, link, scratch, slopes = work.body, work.link, work.scratch, work.slopes
-    seen, wrench = motion_relative_to(open_body(link), open_body(body)), work.wrench
-    write_seen_motion(body, link, seen, scratch[SEEN])
+    first, last = rows
+    scratch, slopes, wrench = work.scratch, work.slopes, work.wrench
+    seen = motion_relative_to(open_body(work.first_body), open_body(work.second_body))
+    write_seen_motion(work.first_body, work.second_body, seen, scratch[SEEN])
     if are_flat(model, first, last):
         differentiate_flat_rows(model, first, last, work)
     else:
         differentiate_rows(model, data, first, last, work)
-    of_body, by = scratch[OF_BODY], scratch[OF_SEEN]
+    by = scratch[OF_SEEN]
     for c in range(columns.end):
-        write_column_displacement(columns, c, seen, work)
+        write_column_displacement(bodies, placement, columns, c, seen, work)
         for k in range(first, last):
             total = rate = 0.0
             for j in range(DISPLACEMENT_WIDTH):
@@ -100,34 +113,46 @@ def differentiate_joint(model, data, first, last, columns, gaps, work):
                 rate += slopes[k, ACCELERATION + j] * by[VELOCITY + j]
             gaps[k - first, c], work.rates[k, c] = total, rate
         moves = 1.0 if c < columns.placement else 0.0
-        turn = open_displacement(of_body).turn
-        displace_wrenches(
-            body, scratch[SEEN], wrench, turn, by, moves, work.on_object[c], work.on_link[c]
-        )
-    write_wrench_on_bodies(
-        body, scratch[SEEN], wrench[VALUE], work.on_object[columns.end], work.on_link[columns.end]
+        displace_wrenches(scratch[SEEN], wrench, by, moves, work.on_first[c], work.on_second[c])
+    write_wrenches(
+        scratch[SEEN], wrench[VALUE], work.on_first[columns.end], work.on_second[columns.end]
     )
 
 
 @kernel
-def write_column_displacement(columns, c, seen, work):
-    """Write how object and link, and the link as the object sees it, are displaced in a column."""
-    of_body, of_link = work.scratch[OF_BODY], work.scratch[OF_LINK]
-    clear(of_body)
-    clear(of_link)
+def write_column_displacement(bodies, placement, columns, c, seen, work):
+    """Write how two bodies, and the first one as the second sees it, are displaced in a column.
+
+    From column ``placement`` on, six are displacements of the contacts against the first one.
+    """
+    of_first, of_second = work.scratch[OF_FIRST], work.scratch[OF_SECOND]
+    write_body_displacement(bodies[0], columns, c, work.first_moved, of_first)
+    write_body_displacement(bodies[1], columns, c, work.second_moved, of_second)
+    if placement <= c < placement + TWIST:
+        displace_contacts(work.first_body, c - placement, of_first)
+    write_seen_displacement(
+        work.first_body, work.second_body, seen, of_first, of_second, work.scratch[OF_SEEN]
+    )
+
+
+@inlined
+def write_body_displacement(body, columns, c, moved, out):
+    """Write how a body is displaced in a column.
+
+    ``body`` is the joint of the arm that moves it, counted from 0, ``BASE`` or ``OBJECT``;
+    ``moved`` (2 n, 18) has the displacements by the arm's joints.
+    """
+    clear(out)
     if c < columns.positions:
-        of_body[c] = 1.0
-    elif c < columns.placement:
-        for j in range(DISPLACEMENT_WIDTH):
-            of_link[j] = work.moved[c - columns.positions, j]
-    else:
-        displace_contacts(work.link, c - columns.placement, of_link)
-    write_seen_displacement(work.body, work.link, seen, of_body, of_link, work.scratch[OF_SEEN])
+        if body == OBJECT:
+            out[c] = 1.0
+    elif c < columns.placement and body >= 0:
+        copy(moved[c - columns.positions], out)
 
 
 @kernel
 def are_flat(model, first, last):
-    """Whether all rows are tips on planes of the object, or belong to joints."""
+    """Whether all rows are tips on planes of the second body, or belong to joints."""
     for k in range(first, last):
         code = open_code(model.contacts.codes[k])
         on_object = code.kind == ON_PLANE and code.surface_body == SURFACE_ON_OBJECT
@@ -138,7 +163,7 @@ def are_flat(model, first, last):
 
 @kernel
 def differentiate_flat_rows(model, first, last, work):
-    """The results of :func:`differentiate_rows` for tips on planes of the object."""
+    """The results of :func:`differentiate_rows` for tips on planes of the second body."""
     motion, slopes, wrench = work.scratch[SEEN], work.slopes, work.wrench
     seen = open_body(motion)
     R, x, w, w_rate = seen.rotation, seen.origin, seen.spin, seen.spin_rate
@@ -170,7 +195,8 @@ def differentiate_rows(model, data, first, last, work):
     """Write the derivatives of the rows by the seen motion, and those of their wrench by its pose.
 
     Of a row, ``work.slopes`` has those of the gap's second derivative by a displacement, and those
-    of its rate by the pose.  ``work.wrench`` is in the object's axes; its last row is the value.
+    of its rate by the pose.  ``work.wrench`` is on the second body in its axes; its last row is the
+    value.
     """
     slopes, wrench, rows = work.slopes, work.wrench, work.rows
     motion, moved = work.scratch[SEEN], work.scratch[MOVED]
@@ -209,7 +235,7 @@ def differentiate_rows(model, data, first, last, work):
 
 @kernel
 def write_rows_at(model, data, first, last, motion, work):
-    """Write the rows ``first`` to ``last`` of an arm for a motion seen from the object."""
+    """Write the rows ``first`` to ``last`` for a motion seen from the second body."""
     still, rows, parts = work.scratch[STILL], work.rows, work.parts
     for k in range(first, last):
         write_row(k, motion, still, model.contacts, rows, parts, data.search)
@@ -217,7 +243,7 @@ def write_rows_at(model, data, first, last, motion, work):
 
 @kernel
 def add_wrench(rows, first, last, force, weight, out):
-    """Add the resultant of the forces on the object, times a weight."""
+    """Add the resultant of the forces on the second body, times a weight."""
     for k in range(first, last):
         contact, share = open_contact(rows[k]), weight * force[k]
         e = contact.normal
@@ -228,7 +254,7 @@ def add_wrench(rows, first, last, force, weight, out):
 
 @kernel
 def displace(motion, axis, amount, moved):
-    """Write a seen motion whose pose is displaced along or about an axis of the object."""
+    """Write a seen motion whose pose is displaced along or about an axis of the second body."""
     for j in range(BODY_WIDTH):
         moved[j] = motion[j]
     body = open_body(moved)
@@ -251,12 +277,12 @@ def turned(a, e, cosine, sine):
 
 
 @kernel
-def displace_contacts(link, c, out):
-    """Write the displacement of contacts that are moved against the link, world axes.
+def displace_contacts(body, c, out):
+    """Write the displacement of contacts that are moved against their body, world axes.
 
-    Along or about one of the link's axes; it stays the same in these.
+    Along or about one of the body's axes; it stays the same in these.
     """
-    motion, displacement = open_body(link), open_displacement(out)
+    motion, displacement = open_body(body), open_displacement(out)
     axis, w = motion.rotation[c % 3], motion.spin
     if c >= 3:
         displacement.turn = axis
@@ -267,10 +293,10 @@ def displace_contacts(link, c, out):
 
 
 @kernel
-def write_seen_motion(body, link, seen, out):
-    """Write the link's motion as the object sees it, in its axes, for the contact rows."""
-    R, motion, (d, V, spin, A, spin_rate) = open_body(body).rotation, open_body(out), seen
-    x, y, z = open_body(link).rotation
+def write_seen_motion(first_body, second_body, seen, out):
+    """Write the first body's motion as the second sees it, in its axes, for the contact rows."""
+    R, motion, (d, V, spin, A, spin_rate) = open_body(second_body).rotation, open_body(out), seen
+    x, y, z = open_body(first_body).rotation
     motion.rotation = rotate_back(R, x), rotate_back(R, y), rotate_back(R, z)
     motion.origin, motion.velocity, motion.spin = (
         rotate_back(R, d), rotate_back(R, V), rotate_back(R, spin)
@@ -279,63 +305,68 @@ def write_seen_motion(body, link, seen, out):
 
 
 @kernel
-def write_seen_displacement(body, link, seen, of_body, of_link, out):
+def write_seen_displacement(first_body, second_body, seen, of_first, of_second, out):
     """Write the displacement of the seen motion by displacements of the two in world axes."""
-    motion, (d, V, spin, A, spin_rate) = open_body(body), seen
-    by_body, by_link, by = (
-        open_displacement(of_body), open_displacement(of_link), open_displacement(out)
+    motion, (d, V, spin, A, spin_rate) = open_body(second_body), seen
+    by_first, by_second, by = (
+        open_displacement(of_first), open_displacement(of_second), open_displacement(out)
     )  # fmt: skip
-    R, w, w_rate, turn = motion.rotation, motion.spin, motion.spin_rate, by_body.turn
-    dw, dw_link = by_body.spin, by_link.spin
-    dd = sub(by_link.shift, by_body.shift)
+    R, w, w_rate, turn = motion.rotation, motion.spin, motion.spin_rate, by_second.turn
+    dw, dw_first = by_second.spin, by_first.spin
+    dd = sub(by_first.shift, by_second.shift)
     dc = add_cross(cross(dw, d), w, dd)
-    dV = sub(sub(by_link.velocity, by_body.velocity), dc)
-    dA = sub(by_link.acceleration, by_body.acceleration)
-    dA = sub(dA, add_cross(cross(by_body.spin_rate, d), w_rate, dd))
+    dV = sub(sub(by_first.velocity, by_second.velocity), dc)
+    dA = sub(by_first.acceleration, by_second.acceleration)
+    dA = sub(dA, add_cross(cross(by_second.spin_rate, d), w_rate, dd))
     dA = sub(dA, cross(dw, add_scaled(cross(w, d), 2.0, V)))
     dA = sub(dA, cross(w, add_scaled(dc, 2.0, dV)))
-    rate = sub(by_link.spin_rate, by_body.spin_rate)
-    rate = sub(rate, add_cross(cross(dw, open_body(link).spin), w, dw_link))
-    # the object's axes turn
+    rate = sub(by_first.spin_rate, by_second.spin_rate)
+    rate = sub(rate, add_cross(cross(dw, open_body(first_body).spin), w, dw_first))
+    # the second body's axes turn
     by.shift = rotate_back(R, add_cross(dd, d, turn))
-    by.turn = rotate_back(R, sub(by_link.turn, turn))
+    by.turn = rotate_back(R, sub(by_first.turn, turn))
     by.velocity = rotate_back(R, add_cross(dV, V, turn))
-    by.spin = rotate_back(R, add_cross(sub(dw_link, dw), spin, turn))
+    by.spin = rotate_back(R, add_cross(sub(dw_first, dw), spin, turn))
     by.acceleration = rotate_back(R, add_cross(dA, A, turn))
     by.spin_rate = rotate_back(R, add_cross(rate, spin_rate, turn))
 
 
-@kernel
-def write_wrench_on_bodies(body, seen, wrench, on_object, on_link):
-    """Write the contacts' wrench on the object, world axes, and the opposite one on the link."""
-    motion = open_body(seen)
-    R_o, R, r = open_body(body).rotation, motion.rotation, motion.origin
-    force, moment = vec(wrench, 0), vec(wrench, 3)
-    put(on_object, 0, rotate(R_o, force))
-    put(on_object, 3, rotate(R_o, moment))
-    put(on_link, 0, scale(-1.0, rotate_back(R, force)))
-    put(on_link, 3, rotate_back(R, sub(cross(r, force), moment)))
+# --- wrenches -------------------------------------------------------------------------------------
 
 
 @kernel
-def displace_wrenches(body, seen, wrench, turn_o, by, moves, on_object, on_link):
+def write_wrenches(seen, wrench, on_first, on_second):
+    """Write the rows' wrench on either body, about its origin in its axes.
+
+    ``wrench`` is that on the second body.
+    """
+    motion, force, moment = open_body(seen), vec(wrench, 0), vec(wrench, 3)
+    R, r = motion.rotation, motion.origin
+    put(on_first, 0, scale(-1.0, rotate_back(R, force)))
+    put(on_first, 3, rotate_back(R, sub(cross(r, force), moment)))
+    put(on_second, 0, force)
+    put(on_second, 3, moment)
+
+
+@kernel
+def displace_wrenches(seen, wrench, by, moves, on_first, on_second):
     """Write the derivatives of the two wrenches by a displacement of the seen motion.
 
-    The object turns by ``turn_o``, world axes; ``wrench`` (7, 6) is that of the rows; ``moves`` is
-    1 where the link moves with its contacts, and 0 where these alone are displaced.
+    In the axes of either body.  ``wrench`` (7, 6) is that of the rows; ``moves`` is 1 where the
+    first body moves with its contacts, and 0 where these alone are displaced.
     """
     motion = open_body(seen)
-    R_o, R, r = open_body(body).rotation, motion.rotation, motion.origin
+    R, r = motion.rotation, motion.origin
     force, moment = vec(wrench[VALUE], 0), vec(wrench[VALUE], 3)
     df, dm = ZERO, ZERO
     for axis in range(TWIST):
         df = add_scaled(df, by[axis], vec(wrench[axis], 0))
         dm = add_scaled(dm, by[axis], vec(wrench[axis], 3))
-    put(on_object, 0, add_cross(rotate(R_o, df), turn_o, rotate(R_o, force)))
-    put(on_object, 3, add_cross(rotate(R_o, dm), turn_o, rotate(R_o, moment)))
+    put(on_second, 0, df)
+    put(on_second, 3, dm)
     displacement = open_displacement(by)
     turn, shift = scale(moves, displacement.turn), scale(moves, displacement.shift)
-    put(on_link, 0, scale(-1.0, rotate_back(R, add_cross(df, force, turn))))
+    put(on_first, 0, scale(-1.0, rotate_back(R, add_cross(df, force, turn))))
     moment = sub(moment, cross(r, force))
     dm = sub(sub(dm, cross(shift, force)), cross(r, df))
-    put(on_link, 3, scale(-1.0, rotate_back(R, add_cross(dm, moment, turn))))
+    put(on_first, 3, scale(-1.0, rotate_back(R, add_cross(dm, moment, turn))))

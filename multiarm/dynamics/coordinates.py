@@ -144,7 +144,8 @@ def columns_of_forces(velocities, joints, states):
 class ArmColumns(NamedTuple):
     """First columns of what an arm's equations depend on: the object's state and the arm's own.
 
-    Where they are wanted, also a displacement of the contacts against the link (6), in its axes.
+    Where they are wanted, also a displacement (6) of the contacts of each of its connections
+    against their first body, in its axes.
     """
 
     twists: int  # of the object
@@ -155,10 +156,10 @@ class ArmColumns(NamedTuple):
 
 
 @plain
-def arm_columns(joints, placed):
-    """The columns of an arm with this number of joints; ``placed``: with those of placements."""
+def arm_columns(joints, placements):
+    """The columns of an arm with numbers of joints, and of connections that are displaced."""
     twists, positions, rates, placement = columns_of_state(TWIST + joints, joints)
-    end = placement + (TWIST if placed else 0)
+    end = placement + TWIST * placements
     return ArmColumns(twists, positions, rates, placement, end)
 
 

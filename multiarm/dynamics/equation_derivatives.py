@@ -7,7 +7,9 @@ F_o` of :mod:`multiarm.dynamics.derivatives`,
     K_i = \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}, \qquad
     \partial \begin{bmatrix} F_i \\ F_{\varphi i} \end{bmatrix}, \qquad \partial F_o .
 
-Each arm has columns of its own, so that the cost is linear in the arms.
+Each arm has columns of its own, so that the cost is linear in the arms.  Every connection of an arm
+adds the derivatives of its rows to :math:`F_{\varphi i}`, and those of the wrenches on its two
+bodies, links of the arm or the object, to :math:`F_i` and :math:`F_o`.
 
 *Feedback on the drift* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
 derivatives of the gaps' rates by the state, and of the gaps by the pose and the joints, which are
@@ -27,8 +29,10 @@ from multiarm.arms.derivatives import (
     LINK_WIDTH,
     ArmLinks,
     arm_links,
+    subtract_load,
     subtract_torques,
     write_inverse_dynamics,
+    write_link,
     write_motions,
 )
 from multiarm.contacts.kernel import CONTACT_WIDTH
@@ -36,11 +40,13 @@ from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
 from multiarm.contacts.table import JOINT, TANGENT, open_code, open_joint
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
+    BASE,
+    OBJECT,
     SCRATCH_ROWS,
     SLOPES_WIDTH,
     STILL,
     VALUE,
-    differentiate_joint,
+    differentiate_connection,
 )
 from multiarm.dynamics.coordinates import (
     arm_columns,
@@ -64,7 +70,7 @@ from multiarm.jit.kernels import (
 )
 from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
-from multiarm.jit.vectors import AXES, add_cross, cross, sub, times, vec
+from multiarm.jit.vectors import AXES, ZERO, add_cross, cross, rotate, sub, times, vec
 
 
 class EquationWork(NamedTuple):
@@ -75,7 +81,8 @@ class EquationWork(NamedTuple):
     object's acceleration.
     """
 
-    placements: Int  # first of their columns among all; -1 without
+    placements: Int  # first of their columns among all, six for each owner of rows; -1 without
+    first_owner: Ints1  # (n + 1,) of the rows of each arm, see multiarm.dynamics.connections
     # velocities and accelerations of the joints (joints,), contact forces (N,)
     v: Floats1
     a_j: Floats1
@@ -86,16 +93,18 @@ class EquationWork(NamedTuple):
     dF_o: Floats2  # (6, columns) of F_o
     Wr_o: Floats2  # (N, 6) the object's rows of the contact forces, those of W_o without friction
     rates: Floats2  # (N, C) of the gaps' rates
-    # (C + 1, 6) derivatives, and in the last used row the values, of the contacts' wrench on the
-    # object, about its centre of mass in world axes, and of the opposite one on the link, about its
-    # origin in its axes
-    on_object: Floats2
-    on_link: Floats2
+    object: Floats1  # (24,) its motion
+    # scratch of one connection: motions of its bodies, their displacements by the joints; (C + 1,
+    # 6) derivatives, and in the last used row the values, of the rows' wrenches on them, about
+    # their origins in their axes
+    first_body: Floats1
+    second_body: Floats1
+    first_moved: Floats2
+    second_moved: Floats2
+    on_first: Floats2
+    on_second: Floats2
     # scratch of one arm
-    body: Floats1
-    link: Floats1
     links: Floats2
-    moved: Floats2
     scratch: Floats2
     rows: Floats2
     parts: Floats2
@@ -120,9 +129,11 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.rows.parts
     n, N = layout.block_count, layout.contacts
     d, m = max(layout.joint_counts), max(layout.contact_counts)
-    C = arm_columns(d, placements >= 0).end
+    first_owner = np.searchsorted(layout.robot_of, range(n + 1))
+    C = arm_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
     work = EquationWork(
         placements=placements,
+        first_owner=first_owner.astype(np.int64),
         v=np.zeros(layout.joints),
         a_j=np.zeros(layout.joints),
         force=np.zeros(N),
@@ -132,17 +143,19 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         dF_o=np.zeros((TWIST, columns)),
         Wr_o=np.zeros((N, TWIST)),
         rates=np.zeros((N, C)),
-        body=np.zeros(BODY_WIDTH),
-        link=np.zeros(BODY_WIDTH),
+        object=np.zeros(BODY_WIDTH),
+        first_body=np.zeros(BODY_WIDTH),
+        second_body=np.zeros(BODY_WIDTH),
+        first_moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),
+        second_moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),
+        on_first=np.zeros((C + 1, TWIST)),
+        on_second=np.zeros((C + 1, TWIST)),
         links=np.zeros((d, LINK_WIDTH)),
-        moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),
         scratch=np.zeros((SCRATCH_ROWS, BODY_WIDTH)),
         rows=np.zeros((N, CONTACT_WIDTH)),
         parts=np.zeros_like(parts),
         slopes=np.zeros((N, SLOPES_WIDTH)),
         wrench=np.zeros((VALUE + 1, TWIST)),
-        on_object=np.zeros((C + 1, TWIST)),
-        on_link=np.zeros((C + 1, TWIST)),
         by_q=np.zeros((d, d)),
         by_v=np.zeros((d, d)),
         S=np.zeros((TWIST, TWIST)),
@@ -188,7 +201,7 @@ def write_derivatives(struct: INTS, equations: INTS):
     copy(data.rows.force, work.force)
     for k in range(data.rows.W_o.shape[0]):
         copy(data.rows.W_o[k], work.Wr_o[k])
-    write_body(data, data.state.object_twist, data.accelerations.a_o, work)
+    write_object(data, data.state.object_twist, data.accelerations.a_o, work)
     status = differentiate_bodies(struct, equations)
     add_object_equation(
         data.bodies.object_inertia, data.state.object_twist, data.accelerations.a_o, work
@@ -206,7 +219,7 @@ def write_derivatives_at_rest(struct, equations, twist):
     """
     data, work = open_data(struct), open_equations(equations)
     clear(work.v)
-    write_body(data, twist, AT_REST, work)
+    write_object(data, twist, AT_REST, work)
     return differentiate_bodies(struct, equations)
 
 
@@ -221,7 +234,7 @@ def write_load_derivatives(struct, equations):
     copy(data.state.joint_rates, work.v)
     clear(work.a_j)
     copy(data.rows.static_force, work.force)
-    write_body(data, data.state.object_twist, AT_REST, work)
+    write_object(data, data.state.object_twist, AT_REST, work)
     return differentiate_bodies(struct, equations)
 
 
@@ -229,7 +242,7 @@ def write_load_derivatives(struct, equations):
 def differentiate_bodies(struct, equations):
     """Write the derivatives of all arms and their wrenches on the object; returns a status.
 
-    At the motion and the contact forces in ``work.body, v, a_j, force``.
+    At the motion and the contact forces in ``work.object, v, a_j, force``.
     """
     model, data, system = open_system(struct)
     links, work = open_links(equations), open_equations(equations)
@@ -241,9 +254,9 @@ def differentiate_bodies(struct, equations):
 
 
 @inlined
-def write_body(data, twist, acceleration, work):
+def write_object(data, twist, acceleration, work):
     """Write the object's pose in the data, and a twist and an acceleration (6,)."""
-    body = open_body(work.body)
+    body = open_body(work.object)
     body.rotation = open_body(data.bodies.object).rotation
     body.origin = vec(data.state.object_pose, 0)
     body.velocity, body.spin = vec(twist, 0), vec(twist, 3)
@@ -273,49 +286,127 @@ def add_object_equation(inertia, twist, acceleration, work):
 
 @kernel
 def differentiate_arm(i, model, data, system, links, work):
-    """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrench."""
-    d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
+    """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrenches."""
+    n = system.first_joint[i + 1] - system.first_joint[i]
     first, last = system.first_contact[i], system.first_contact[i + 1]
-    is_arm, dF, link = i < links.first.size - 1, work.dF[i], work.link
+    is_arm, dF = i < links.first.size - 1, work.dF[i]
     columns = columns_of_arm(i, n, links, work)
-    C, of_all = columns.end, equation_columns(data)
+    C = columns.end
     for k in range(n + last - first):
         clear(dF[k])
     if is_arm:
-        write_motions(
-            links, i, data.state.joint_positions, work.v, work.a_j, work.links, link, work.moved
-        )
-    else:  # the surroundings are at rest
-        clear(link)
-        open_body(link).rotation = AXES
-    differentiate_joint(model, data, first, last, columns, dF[n:], work)
+        write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
+    for c in range(work.first_owner[i], work.first_owner[i + 1]):
+        add_connection(i, c, columns, model, data, system, links, work)
     if is_arm:
-        write_inverse_dynamics(links, i, work.on_link[C], work.links, work.by_q, work.by_v)
+        write_inverse_dynamics(links, i, work.links, work.by_q, work.by_v)
     for j in range(n):
         for k in range(n):
-            dF[j, columns.positions + k] = work.by_q[j, k]
-            dF[j, columns.rates + k] = work.by_v[j, k]
+            dF[j, columns.positions + k] += work.by_q[j, k]
+            dF[j, columns.rates + k] += work.by_v[j, k]
         dF[j, C + j] = -1.0
     for k in range(first, last):
         for l in range(work.dF_o.shape[0]):
             dF[n + k - first, C + n + l] = data.rows.W_o[k, l]
-    for c in range(C):
-        if columns.twists <= c < columns.positions or columns.rates <= c < columns.placement:
-            continue  # wrenches of contacts do not depend on velocities
-        if is_arm:
-            subtract_torques(n, work.on_link[c], work.links, dF, c)
-        at = column_of_state(of_all, columns, d0, c)
-        if c >= columns.placement:
-            at = work.placements + 6 * i + c - columns.placement
-        for l in range(work.dF_o.shape[0]):
-            work.dF_o[l, at] -= work.on_object[c, l]
     write_matrix_of_arm(i, first, last - first, n, data, system, work)
 
 
 @inlined
+def add_connection(i, owner, columns, model, data, system, links, work):
+    """Write the derivatives of the rows of an owner, and add those of their wrenches.
+
+    After :func:`write_motions` of the arm, before :func:`write_inverse_dynamics`.
+    """
+    n, pairs, first = (
+        system.first_joint[i + 1] - system.first_joint[i],
+        model.connections,
+        data.rows.first,
+    )
+    rows = first[owner], first[owner + 1]
+    bodies = (
+        joint_that_moves(pairs.first[owner], model), joint_that_moves(pairs.second[owner], model)
+    )  # fmt: skip
+    write_connected_body(i, bodies[0], links, work, work.first_body, work.first_moved)
+    write_connected_body(i, bodies[1], links, work, work.second_body, work.second_moved)
+    gaps = work.dF[i, n + rows[0] - system.first_contact[i] :]
+    placement = columns.placement + TWIST * (owner - work.first_owner[i])
+    differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work)
+    add_wrench(i, bodies[0], columns, work.on_first, data, system, links, work)
+    add_wrench(i, bodies[1], columns, work.on_second, data, system, links, work)
+
+
+@inlined
+def joint_that_moves(body, model):
+    """The joint of its robot that moves a body of a connection, ``BASE`` or ``OBJECT``."""
+    links = model.links
+    if body >= links.robot.size:
+        return OBJECT if body == links.robot.size else BASE
+    length = links.length[body]
+    return links.chain[body, length - 1] if length > 0 else BASE
+
+
+@kernel
+def write_connected_body(i, body, links, work, motion, moved):
+    """Write the motion of a body of a connection, and its displacements by the arm's joints.
+
+    ``body`` as in :func:`multiarm.dynamics.contact_derivatives.write_body_displacement`.
+    """
+    if body == OBJECT:
+        copy(work.object, motion)
+    elif body == BASE:
+        clear(motion)
+        open_body(motion).rotation = AXES
+    else:
+        write_link(links, i, body, work.links, motion, moved)
+
+
+@kernel
+def add_wrench(i, body, columns, wrench, data, system, links, work):
+    """Add the derivatives of a connection's wrench on a body to those of ``F_i`` or ``F_o``.
+
+    ``wrench`` (C + 1, 6) is that of ``work.on_first`` or ``on_second``.
+    """
+    if body >= 0:
+        subtract_load(body, wrench[columns.end], work.links)
+    for c in range(columns.end):
+        if columns.twists <= c < columns.positions or columns.rates <= c < columns.placement:
+            continue  # wrenches of contacts do not depend on velocities
+        if body >= 0:
+            subtract_torques(links, i, body, wrench[c], work.links, work.dF[i], c)
+        elif body == OBJECT:
+            at = column_of_all(i, equation_columns(data), columns, system.first_joint[i], c, work)
+            subtract_object_wrench(c, at, wrench[columns.end], wrench[c], work)
+
+
+@inlined
+def subtract_object_wrench(c, at, wrench, slope, work):
+    """Subtract the derivative of a wrench on the object from column ``at`` of ``dF_o``.
+
+    ``wrench`` and ``slope`` (6,), its derivative in the object's axes, are in these; in columns 3
+    to 5 the object turns.
+    """
+    R = open_body(work.object).rotation
+    turn = AXES[c - TURN] if TURN <= c < TURN + 3 else ZERO
+    force = add_cross(rotate(R, vec(slope, 0)), turn, rotate(R, vec(wrench, 0)))
+    moment = add_cross(rotate(R, vec(slope, 3)), turn, rotate(R, vec(wrench, 3)))
+    for l in range(3):
+        work.dF_o[l, at] -= force[l]
+        work.dF_o[MOMENT + l, at] -= moment[l]
+
+
+@inlined
 def columns_of_arm(i, n, links, work):
-    """The first columns of an arm; the surroundings have no placement."""
-    return arm_columns(n, i < links.first.size - 1 and work.placements >= 0)
+    """The first columns of an arm; the surroundings have no placements."""
+    placed = i < links.first.size - 1 and work.placements >= 0
+    return arm_columns(n, work.first_owner[i + 1] - work.first_owner[i] if placed else 0)
+
+
+@inlined
+def column_of_all(i, at, columns, d0, c, work):
+    """Place among all columns ``at`` of a column of arm ``i``, whose joints begin at ``d0``."""
+    if c < columns.placement:
+        return column_of_state(at, columns, d0, c)
+    return work.placements + TWIST * work.first_owner[i] + c - columns.placement
 
 
 @inlined
@@ -523,5 +614,6 @@ def add_arm_columns(weight, values, i, d0, n, columns, of_all, work, row):
         row[at.positions + d0 + k] += weight * values[columns.positions + k]
         row[at.rates + d0 + k] += weight * values[columns.rates + k]
         row[at.torques + d0 + k] += weight * values[columns.end + k]
+    first = work.placements + TWIST * work.first_owner[i]
     for k in range(columns.end - columns.placement):
-        row[work.placements + 6 * i + k] += weight * values[columns.placement + k]
+        row[first + k] += weight * values[columns.placement + k]

@@ -150,6 +150,11 @@ class Layout:
         return slice(*self.first_contact[-2:])
 
     @property
+    def owners_of_robots(self) -> tuple[str, ...]:
+        """The owners of rows without the surroundings."""
+        return self.owners[: len(self.owners) - (self.block_count - len(self.names))]
+
+    @property
     def block_count(self) -> int:
         """Number of blocks: the robots, and the surroundings where they have rows."""
         return len(self.first_joint) - 1

@@ -32,7 +32,8 @@ def columns_of(layout: Layout, states: int, parameters: bool) -> dict[str, slice
     sizes = {name: part.stop - part.start for name, part in layout.columns.items()}
     sizes |= dict(zip(INPUTS, (layout.joints, states), strict=True))
     if parameters:
-        sizes |= dict(zip(PARAMETERS, (6, 1, 6, 6 * len(layout.names)), strict=True))
+        placements = 6 * len(layout.owners_of_robots)
+        sizes |= dict(zip(PARAMETERS, (6, 1, 6, placements), strict=True))
     return in_sequence(sizes)
 
 
@@ -131,12 +132,13 @@ class Sensitivity:
 
     @property
     def d_placements(self) -> Mapping[str, np.ndarray]:
-        """By a shift [m] and a turn [rad] of an arm's contacts against its link, arm -> (m, 6).
+        """By a shift [m] and a turn [rad] of contacts against their first body, name -> (m, 6).
 
-        In the axes, and about the origin, of the link that carries the tip.
+        By connection; in the axes, and about the origin, of the joint's frame that moves the link
+        with the tip.
         """
-        block = self._block("placements")
-        return {name: block[..., 6 * i : 6 * i + 6] for i, name in enumerate(self.layout.names)}
+        block, names = self._block("placements"), self.layout.owners_of_robots
+        return {name: block[..., 6 * c : 6 * c + 6] for c, name in enumerate(names)}
 
     @property
     def parameters(self) -> Mapping[str, np.ndarray]:

@@ -23,9 +23,10 @@ import numpy as np
 
 from multiarm.contacts.kernel import slip_of
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.coordinates import column_of_state, equation_columns
+from multiarm.dynamics.coordinates import equation_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
+    column_of_all,
     columns_of_arm,
     equation_work,
     open_equations,
@@ -155,9 +156,7 @@ def differentiate_slip(s, struct, equations, friction):
         for j in range(n):
             W = tangents.W[i, j]
             work.dF[i, j, c] -= W[column] * force_0 + W[column + 1] * force_1
-        place = work.placements + 6 * i + c - columns.placement
-        if c < columns.placement:
-            place = column_of_state(at, columns, d0, c)
+        place = column_of_all(i, at, columns, d0, c, work)
         for l in range(work.dF_o.shape[0]):
             work.dF_o[l, place] -= (
                 sliding.rows.W_o[t, l] * force_0 + sliding.rows.W_o[t + 1, l] * force_1

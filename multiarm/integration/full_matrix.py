@@ -258,7 +258,7 @@ def add_friction_power(struct, full):
     first = data.state.velocity.size + data.effects.states.size
     for s in range(slides.row.size):
         i, mu, row = slides.arm[s], slides.mu[s], slides.row[s]
-        of_arm = arm_columns(work.first_joint[i + 1] - work.first_joint[i], False)
+        of_arm = arm_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
         pull = mu * data.rows.force[row]
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):

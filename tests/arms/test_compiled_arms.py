@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import PANDA_FINGERS, chain_urdf
+from random_structures import link_frames, random_structure, random_tree
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
@@ -45,45 +47,6 @@ def random_base(rng, away=1.0) -> np.ndarray:
     base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
     base[:3, 3] = away * rng.uniform(-1, 1, 3)
     return base
-
-
-def random_chain(rng, joints: int, massless: float = 0.2) -> str:
-    """A URDF of hinges and slides about any axes, some of whose links have no mass."""
-    text = "<link name='l0'/>"
-    numbers = lambda size, count: words(rng.uniform(-size, size, count))  # noqa: E731
-    for k in range(1, joints + 1):
-        heavy = k == joints or rng.random() > massless
-        kind = rng.choice(["revolute", "continuous", "prismatic"])
-        axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.5 else rng.standard_normal(3)
-        text += (
-            f"<link name='l{k}'>{random_inertial(rng) if heavy else ''}</link>"
-            f"<joint name='j{k}' type='{kind}'><parent link='l{k - 1}'/><child link='l{k}'/>"
-            f"<origin xyz='{numbers(0.5, 3)}' rpy='{numbers(3.0, 3)}'/>"
-            f"<axis xyz='{words(axis)}'/><limit lower='-9' upper='9' effort='9' velocity='9'/>"
-            "</joint>"
-        )
-    text += (
-        f"<link name='tip'/><joint name='to_tip' type='fixed'><parent link='l{joints}'/>"
-        "<child link='tip'/><origin xyz='0.1 0 0.2' rpy='0.3 0 0.5'/></joint>"
-    )
-    return f"<robot name='chain'>{text}</robot>"
-
-
-def random_inertial(rng) -> str:
-    axes = Rotation.random(random_state=rng).as_matrix()
-    arms = rng.uniform(0.02, 0.3, 3)
-    mass = 10.0 ** rng.uniform(-2, 2)
-    moments = axes @ np.diag(mass * (np.sum(arms**2) - arms**2)) @ axes.T
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    given = zip(names, moments[np.triu_indices(3)], strict=True)
-    return (
-        f"<inertial><origin xyz='{words(rng.uniform(-0.3, 0.3, 3))}'/><mass value='{mass!r}'/>"
-        f"<inertia {' '.join(f'{name}={str(float(v))!r}' for name, v in given)}/></inertial>"
-    )
-
-
-def words(numbers) -> str:
-    return " ".join(repr(float(x)) for x in numbers)
 
 
 def compiled(structures, gravity=GRAVITY, order=None):
@@ -160,7 +123,7 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
     folder, arms = tmp_path_factory.mktemp("chains"), []
     for k in range(rng.integers(1, 10)):
         joints = int(rng.integers(1, 17))
-        (folder / f"{k}.urdf").write_text(random_chain(rng, joints))
+        (folder / f"{k}.urdf").write_text(random_tree(rng, range(-1, joints - 1)))
         arms.append(arm_of(folder / f"{k}.urdf", "tip", random_base(rng, away)))
     gravity = rng.uniform(-10, 10, 3)
     copies, angles, rates, own = compiled([arm.structure() for arm in arms], gravity)
@@ -178,35 +141,8 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
 # --- against mechanics ---------------------------------------------------------------------------
 
 
-def random_structure(rng, joints: int) -> ArmStructure:
-    axes = rng.standard_normal((joints, 3))
-    moments = []
-    for _ in range(joints):
-        turn, size = Rotation.random(random_state=rng).as_matrix(), rng.uniform(0.05, 0.2, 3)
-        moments.append(turn @ np.diag(np.sum(size**2) - size**2) @ turn.T)
-    return ArmStructure(
-        slides=rng.random(joints) < 0.4,
-        axes=axes / np.linalg.norm(axes, axis=1)[:, None],
-        rotations=Rotation.random(joints, random_state=rng).as_matrix(),
-        translations=rng.uniform(-0.4, 0.4, (joints, 3)),
-        masses=rng.uniform(0.1, 5.0, joints),
-        centres=rng.uniform(-0.2, 0.2, (joints, 3)),
-        inertias=np.array(moments),
-        armature=rng.uniform(0.0, 0.3, joints),
-    )
-
-
-def link_frames(arm: ArmStructure, q) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rotation and origin of every link, as a textbook draws them."""
-    R, p, frames = np.eye(3), np.zeros(3), []
-    for k in range(len(q)):
-        p, R = p + R @ arm.translations[k], R @ arm.rotations[k]
-        if arm.slides[k]:
-            p = p + R @ (q[k] * arm.axes[k])
-        else:
-            R = R @ Rotation.from_rotvec(q[k] * arm.axes[k]).as_matrix()
-        frames.append((R, p))
-    return frames
+def random_arm(rng, joints: int) -> ArmStructure:
+    return random_structure(rng, range(-1, joints - 1))
 
 
 def kinetic_energy(arm: ArmStructure, q, v) -> float:
@@ -243,7 +179,7 @@ def gradient(function, x, h=1e-3):
 @pytest.mark.parametrize("joints", [1, 2, 3, 6])
 def test_terms_are_those_of_lagrange(joints, rng):
     """Kinetic and potential energy of rigid links, differentiated; Pinocchio has no part in it."""
-    arms = [random_structure(rng, joints) for _ in range(3)]
+    arms = [random_arm(rng, joints) for _ in range(3)]
     copies, angles, rates, own = compiled(arms)
     angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-2, 2, rates.size)
     copies.update(with_coriolis=True)
@@ -274,7 +210,7 @@ def test_terms_are_those_of_lagrange(joints, rng):
 
 
 def test_motion_of_the_last_link_is_the_derivative_of_its_pose(rng):
-    arm = random_structure(rng, 6)
+    arm = random_arm(rng, 6)
     copies, angles, rates, _ = compiled([arm])
     q, v = rng.uniform(-3, 3, 6), rng.uniform(-2, 2, 6)
     angles[:], rates[:] = q, v
@@ -299,7 +235,7 @@ def test_motion_of_the_last_link_is_the_derivative_of_its_pose(rng):
 
 def test_an_arm_far_away_loses_no_digits(rng):
     """Two kilometres from the origin: what does not depend on the place is the same."""
-    arm = random_structure(rng, 6)
+    arm = random_arm(rng, 6)
     far = arm._replace(translations=arm.translations.copy())
     far.translations[0] += [2000.0, -1500.0, 300.0]
     copies, angles, rates, (one, two) = compiled([arm, far])
@@ -315,7 +251,7 @@ def test_an_arm_far_away_loses_no_digits(rng):
 
 def test_an_arm_does_not_depend_on_its_neighbours(rng):
     """Its numbers are the same, bit for bit, alone and beside others of any length."""
-    arms = [random_structure(rng, n) for n in (6, 3, 6, 6, 7, 1, 6)]
+    arms = [random_arm(rng, n) for n in (6, 3, 6, 6, 7, 1, 6)]
     copies, angles, rates, own = compiled(arms)
     angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-3, 3, rates.size)
     copies.update(with_coriolis=True)
@@ -363,7 +299,7 @@ def test_far_angles_are_counted(angle):
 
 
 def test_far_angles_are_left_to_the_library(rng):
-    arm = random_structure(rng, 3)._replace(slides=np.zeros(3, dtype=bool))
+    arm = random_arm(rng, 3)._replace(slides=np.zeros(3, dtype=bool))
     copies, angles, _, _ = compiled([arm])
     angles[:] = [3e5, -1e12, 0.7]
     copies.update()
@@ -378,7 +314,7 @@ def test_far_angles_are_left_to_the_library(rng):
 
 def test_a_position_that_is_no_number_spoils_its_arm_only(rng):
     """The arms behind it, long and short ones, are what they were but for the library's sines."""
-    copies, angles, rates, own = compiled([random_structure(rng, n) for n in (6, 6, 3)])
+    copies, angles, rates, own = compiled([random_arm(rng, n) for n in (6, 6, 3)])
     angles[:], rates[:] = rng.uniform(-3, 3, 15), rng.uniform(-3, 3, 15)
     copies.update()
     before = copies.terms(2)
@@ -496,20 +432,33 @@ def unusual(panda, *joints) -> Arm:
     for parent, joint in joints:
         joint_of(model, parent, joint)
     panda.model, panda.joint_names = model, tuple(model.names[1:])
-    panda.dof, panda.tip.joint = model.nv, model.njoints - 1
-    return panda
+    panda.dof = model.nv
+    return with_tip_on(panda, model.njoints - 1)
+
+
+def with_tip_on(arm: Arm, joint: int) -> Arm:
+    arm.tips = {"": replace(arm.tip, joint=joint)}
+    return arm
 
 
 def test_what_no_table_describes_is_said_in_words(panda):
     hinge, screw = pin.JointModelRX(), pin.JointModelHX(0.1)
     with refused(ModelError, "j2"):
         unusual(panda, (0, hinge), (1, screw)).structure()
-    with refused(ModelError):
-        unusual(panda, (0, hinge), (1, hinge), (1, hinge)).structure()
-    short = unusual(panda, (0, hinge), (1, hinge))
-    short.tip.joint = 1
-    with refused(ModelError):
-        short.structure()
+
+
+@pytest.mark.parametrize("parents", [(0, 1, 1), (0, 0), (0, 1, 2, 1)])
+def test_branches_stay_with_pinocchio(panda, parents):
+    tree = unusual(panda, *((parent, pin.JointModelRX()) for parent in parents))
+    backend, reasons = compile_arms({"tree": tree}, GRAVITY)
+    assert backend is None and reasons == {"tree": "it has branches"}
+
+
+def test_joints_after_the_tip_stay_with_pinocchio(panda):
+    hinge = pin.JointModelRX()
+    long = with_tip_on(unusual(panda, (0, hinge), (1, hinge)), 1)
+    backend, reasons = compile_arms({"long": long}, GRAVITY)
+    assert backend is None and reasons == {"long": "joints follow after its tip"}
 
 
 def test_states_of_the_verification_are_the_arms_own(panda):

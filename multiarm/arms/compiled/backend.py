@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.arms.chain import require_chain
 from multiarm.arms.compiled.coriolis import update_coriolis
 from multiarm.arms.compiled.kernels import update_arms
 from multiarm.arms.compiled.tables import (
@@ -243,7 +244,7 @@ def verify(
 def _structure(arm: Arm) -> ArmStructure:
     if arm.dof > MOST_JOINTS:
         raise ModelError(f"it has {arm.dof} joints; at most {MOST_JOINTS} are compiled")
-    return arm.structure()
+    return require_chain(arm.structure(), arm.tip.joint)
 
 
 class _Lane:

@@ -1,0 +1,68 @@
+"""Claims about derivatives of robots with several connections: those of differences.
+
+Differences of order four of evaluations share no derivative with the code under test.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mechanics import difference, random_state
+from tree_systems import tree_system
+
+import multiarm as ma
+from multiarm.spatial import retract
+
+BALL, WELD, POINT = {"kind": "ball"}, {"kind": "weld"}, {"kind": "point_on_plane"}
+CYLINDER = {"kind": "point_on_cylinder", "radius": 0.2}
+TWO_ARMS = [-1, 0, 1, 2, 3, 0, 5, 6, 7]  # on one joint, tips l5 and l9
+# By the two bodies; forces act on the second one.
+CONNECTIONS = {
+    "two tips hold the object": (TWO_ARMS, {("l5", "object"): WELD, ("l9", "object"): BALL}),
+    "one tip twice": (TWO_ARMS, {("l5", "object"): BALL, ("l5", "world"): POINT}),
+    "a tip and a link within": (TWO_ARMS, {("l9", "object"): BALL, ("l7", "world"): POINT}),
+    "an inner loop": (TWO_ARMS, {("l5", "l9"): BALL, ("l5", "object"): BALL}),
+    "an inner loop along one branch": (TWO_ARMS, {("l9", "l0"): BALL, ("l2", "l7"): POINT}),
+    "curved surfaces": (TWO_ARMS, {("l5", "l9"): CYLINDER, ("l9", "object"): CYLINDER}),
+    "a free robot and object": (TWO_ARMS, {("l5", "world"): POINT}),
+}  # fmt: skip
+
+
+def moved(state, column: int, amount: float):
+    """The state displaced along one column of the derivatives."""
+    displaced, n = state.copy(), state.layout.joints
+    if 3 <= column < 6:
+        turn = amount * np.eye(3)[column - 3]
+        displaced.position[3:7] = retract(state.position[3:7], turn)
+    elif column < 3:
+        displaced.position[column] += amount
+    elif column < 12:
+        displaced.velocity[column - 6] += amount
+    elif column < 12 + n:
+        displaced.position[column - 5] += amount
+    else:
+        displaced.velocity[column - 6 - n] += amount
+    return displaced
+
+
+def unknowns(system, state):
+    """Accelerations of object and joints, and contact forces."""
+    ev = ma.evaluate(system, 0.0, state)
+    return np.concatenate(
+        [ev.object_acceleration, *ev.joint_accelerations.values(), *ev.contact_forces.values()]
+    )
+
+
+@pytest.mark.parametrize("case", CONNECTIONS)
+def test_derivatives_of_connections_are_those_of_differences(case, monkeypatch, tmp_path, rng):
+    system = tree_system(monkeypatch, tmp_path, rng, *CONNECTIONS[case])
+    state = random_state(system, rng, turn=0.5, speed=0.5)
+    derivatives = ma.derivatives(system, 0.0, state)
+    assert derivatives.message == ""
+    columns = range(12 + 2 * state.layout.joints)
+    expected = np.transpose(
+        [difference(lambda h, c=c: unknowns(system, moved(state, c, h))) for c in columns]
+    )
+    size = np.abs(expected).max(axis=1, keepdims=True) + 1.0
+    matrix = derivatives.matrix[: len(expected), : len(columns)]
+    np.testing.assert_allclose(matrix / size, expected / size, atol=1e-7)
