@@ -119,6 +119,8 @@ def outwards(tables, work, b):
     if blocks.ancestors[b] > 0:
         start = gather_start(tables, work, b)
         axes, p, twist, rate_of_twist = start.axes, start.origin, start.twist, start.rate
+    jacobian, pose = LANES * blocks.jacobian[b], LANES * blocks.poses[b]
+    motion = LANES * blocks.motions[b]
     for k in range(blocks.joints[b]):
         lanes = LANES * (first + k)
         joint = open_joint(constants, JOINT_LANES * (first + k))
@@ -129,7 +131,7 @@ def outwards(tables, work, b):
         )  # fmt: skip
         linear, angular = column_of(joint, axes[2], p)
         link.column = linear, angular
-        about_world = open_jacobian(leaves, LANES * blocks.jacobian[b] + JACOBIAN_LANES * k)
+        about_world = open_jacobian(leaves, jacobian + JACOBIAN_LANES * k)
         about_world.column = add_cross(linear, origin, angular), angular
         step = scale(rate, linear), scale(rate, angular)
         rate_of_twist = add_twist_product(rate_of_twist, twist, step)
@@ -138,10 +140,10 @@ def outwards(tables, work, b):
         link.force = inertial_force(inertia, twist, rate_of_twist)
         link.mass, link.moment, link.second = moments(inertia)
         if tables.wanted.poses:
-            placed = open_pose(leaves, LANES * blocks.poses[b] + POSE_LANES * k)
+            placed = open_pose(leaves, pose + POSE_LANES * k)
             placed.axes, placed.origin = compose(axes, joint.link_axes), add(p, origin)
         if tables.carries[first + k] >= 0:
-            at = LANES * blocks.motions[b] + BODY_LANES * tables.carries[first + k]
+            at = motion + BODY_LANES * tables.carries[first + k]
             write_motion(
                 open_body(leaves, at), compose(axes, joint.link_axes), p, origin, twist,
                 rate_of_twist, gravity,
@@ -194,6 +196,7 @@ def inwards(tables, work, b):
     gravity = broadcast_vector(tables.gravity)
     n, first, zero = blocks.joints[b], blocks.first_joint[b], zero_vector()
     before, row = blocks.ancestors[b], blocks.first_link[b]
+    inertia, bias, gravity_torque = blocks.inertia[b], blocks.bias[b], blocks.gravity_torque[b]
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
@@ -201,10 +204,10 @@ def inwards(tables, work, b):
         mass, moment = mass + link.mass, add(moment, link.moment)
         second, force = add_symmetric(second, link.second), add_pair(force, link.force)
         column = link.column
-        store_pack(leaves, LANES * (blocks.bias[b] + j), power(column, force))
+        store_pack(leaves, LANES * (bias + j), power(column, force))
         # momentum of the composite body for a unit rate of the joint
         momentum = times_inertia(mass, moment, second, column)
-        at = LANES * (blocks.inertia[b] + (before + n) * j)
+        at = LANES * (inertia + (before + n) * j)
         for k in range(before + j):
             ancestor = open_link(links, LINK_LANES * (row + k))
             store_pack(leaves, at + LANES * k, power(ancestor.column, momentum))
@@ -213,7 +216,7 @@ def inwards(tables, work, b):
         if tables.wanted.gravity_torque:
             weight = scale(mass, gravity), cross(moment, gravity)
             held = broadcast(0.0) - power(column, weight)
-            store_pack(leaves, LANES * (blocks.gravity_torque[b] + j), held)
+            store_pack(leaves, LANES * (gravity_torque + j), held)
     if before > 0:
         sums = open_link(work.link_sum, 0)
         sums.mass, sums.moment, sums.second, sums.force = mass, moment, second, force

@@ -26,7 +26,7 @@ from multiarm.arms.compiled.tables import (
 from multiarm.arms.terms import POSE_WIDTH, ArmStructure
 from multiarm.contacts.motion import BODY_WIDTH
 from multiarm.jit.rows import fields_of
-from multiarm.jit.simd import LANES
+from multiarm.jit.simd import LANES, aligned_zeros
 
 Pairs = list[tuple[int, int]]
 
@@ -141,7 +141,7 @@ def make_tables(
         divides=_integers([flag for group in groups for flag in _divides(group)]),
         carries=_integers([slot for block in blocks for slot in _slots(block)]),
         turns=np.ascontiguousarray(turns).ravel(),
-        constants=constants.ravel(),
+        constants=_aligned(constants),
         bases=np.array(bases).reshape(len(blocks), -1),
         gravity=np.array(gravity, dtype=float),
         sizes=Sizes(rows, max(group.blocks[-1].end for group in groups), terms),
@@ -411,6 +411,12 @@ def _constants(block: PlacedBlock, structures: Sequence[ArmStructure]) -> np.nda
         for x in block.filled()
     ]  # fmt: skip
     return np.stack(lanes, axis=-1)
+
+
+def _aligned(numbers: np.ndarray) -> np.ndarray:
+    aligned = aligned_zeros(numbers.size)
+    aligned[:] = numbers.ravel()
+    return aligned
 
 
 def _starts(counts: Sequence[int]) -> list[int]:

@@ -21,7 +21,7 @@ from multiarm.arms.terms import LinkPose
 from multiarm.contacts.motion import BodyMotion
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.rows import Axes, Number, Pair, Symmetric, Vector, lanes_of, offset_of, width
-from multiarm.jit.simd import LANES
+from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import (
     Flag,
     Floats1,
@@ -295,7 +295,7 @@ def energy_of_arms(struct):
 
 def make_terms(tables: ArmTables) -> np.ndarray:
     """Allocate one number for every term of all arms."""
-    return np.zeros(tables.sizes.terms)
+    return aligned_zeros(tables.sizes.terms)
 
 
 def make_work(
@@ -303,7 +303,7 @@ def make_work(
     terms: np.ndarray, coriolis: np.ndarray,
 ) -> ArmWork:  # fmt: skip
     """Allocate the workspace; the other arrays are given."""
-    lanes, rows = np.zeros((4, tables.sources.size)), tables.sizes.rows
+    lanes, rows = [aligned_zeros(tables.sources.size) for _ in range(4)], tables.sizes.rows
     return ArmWork(
         angles=angles,
         rates=rates,
@@ -312,13 +312,13 @@ def make_work(
         rate=lanes[1],
         sine=lanes[2],
         cosine=lanes[3],
-        links=np.zeros(LINK_LANES * rows),
-        link_turns=np.zeros(TURN_LANES * rows),
-        frames=np.zeros(FRAME_LANES * rows),
-        start=np.zeros(FRAME_LANES),
-        link_sum=np.zeros(LINK_LANES),
-        turn_sum=np.zeros(TURN_LANES),
-        leaves=np.zeros(LANES * tables.sizes.leaves),
+        links=aligned_zeros(LINK_LANES * rows),
+        link_turns=aligned_zeros(TURN_LANES * rows),
+        frames=aligned_zeros(FRAME_LANES * rows),
+        start=aligned_zeros(FRAME_LANES),
+        link_sum=aligned_zeros(LINK_LANES),
+        turn_sum=aligned_zeros(TURN_LANES),
+        leaves=aligned_zeros(LANES * tables.sizes.leaves),
         terms=terms,
         coriolis=coriolis,
     )
