@@ -264,16 +264,23 @@ def transpose_to_arms(leaves, at, count, out, first, width):
 def move_terms(tables, work, g):
     """Move the leaves of a group of trees to the arms' terms, and to the bodies."""
     move(work.leaves, tables.groups.terms, g, work.terms)
-    move(work.leaves, tables.groups.motions, g, work.bodies)
     if tables.wanted.poses:
         move(work.leaves, tables.groups.poses, g, work.terms)
+    motions = tables.groups.motions
+    for m in range(motions.first[g], motions.first[g + 1]):
+        source, target = motions.sources[m], motions.targets[m]
+        for k in range(BODY_WIDTH):
+            work.bodies[target + k] = work.leaves[source + LANES * k]
 
 
 @kernel
-def move(leaves, table, g, out):
+def move(leaves, moves, g, out):
     """Move numbers of the leaves of a group."""
-    for k in range(table.first[g], table.first[g + 1]):
-        out[table.moves[k, 1]] = leaves[table.moves[k, 0]]
+    for k in range(moves.first_quad[g], moves.first_quad[g + 1]):
+        to = moves.places[k]
+        transpose_four(leaves, moves.quads[k], out, to[0], to[1], to[2], to[3])
+    for k in range(moves.first_single[g], moves.first_single[g + 1]):
+        out[moves.targets[k]] = leaves[moves.sources[k]]
 
 
 # --- vectorised sine and cosine ------------------------------------------------------------------

@@ -6,7 +6,7 @@ What the tables are is said in :mod:`multiarm.arms.compiled.tables`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from multiarm.arms.compiled.tables import (
     ArmTables,
     Blocks,
     Groups,
+    Motions,
     Moves,
     Sizes,
     TermOffsets,
@@ -134,7 +135,7 @@ def make_tables(
     ]
     return ArmTables(
         blocks=_block_table(groups, zeros=LANES * (rows - 1)),
-        groups=_group_table(groups, first_terms, arms, links),
+        groups=_group_table(groups, first_terms, terms, arms, links),
         arms=np.array(arms, dtype=np.int64),
         energies=np.concatenate([arm.energy + np.arange(arm.energies) for arm in arms]),
         sources=_integers(np.concatenate([_sources(block, first_joints) for block in blocks])),
@@ -203,7 +204,7 @@ def _first_terms(groups: Sequence[PlacedGroup]) -> tuple[dict[int, int], int]:
         for arm in dict.fromkeys(x.arm for block in group.blocks for x in block.branches):
             first[arm] = end
             _, end = _offsets(end, *_sizes_of(group, arm))
-    return first, end
+    return first, end + LANES  # for what has no place
 
 
 def _sizes_of(group: PlacedGroup, arm: int) -> tuple[int, int, int]:
@@ -276,11 +277,14 @@ def _block_table(groups: Sequence[PlacedGroup], zeros: int) -> Blocks:
 def _group_table(
     groups: Sequence[PlacedGroup],
     first_terms: dict[int, int],
+    terms: int,
     arms: Sequence[TermOffsets],
     links: Sequence[BodyLink],
 ) -> Groups:
     rows = {(link.arm, link.joint): link.row for link in links}
-    moves = GroupMoves(*([_moves(group, arms, links)[k] for group in groups] for k in range(4)))
+    runs = [_runs(group, arms) for group in groups]
+    motions = [_motions(group, links) for group in groups]
+    spare = terms - LANES
     plain = np.array([group.plain for group in groups])
     first = [group.blocks[0] for group in groups]
     bodies = [
@@ -293,86 +297,139 @@ def _group_table(
         first_term=np.where(plain, [first_terms[block.branches[0].arm] for block in first], 0),
         term_count=np.where(plain, [block.motions for block in first], 0),
         bodies=_integers(bodies),
-        terms=_stacked(moves.terms),
-        poses=_stacked(moves.poses),
-        motions=_stacked(moves.motions),
-        coriolis=_stacked(moves.coriolis),
+        terms=_moves([group.terms for group in runs], spare),
+        poses=_moves([group.poses for group in runs], spare),
+        coriolis=_moves([group.coriolis for group in runs], spare),
+        motions=Motions(
+            sources=_integers([source for group in motions for source, _ in group]),
+            targets=_integers([target for group in motions for _, target in group]),
+            first=_integers(_starts([len(group) for group in motions])),
+        ),
     )
 
 
-class GroupMoves(NamedTuple):
-    """Where leaves of a group go: pairs of a number in the leaves and its place."""
+class Run(NamedTuple):
+    """Numbers of a lane that follow each other in the leaves, and where they go."""
 
-    terms: list
-    poses: list
-    motions: list
-    coriolis: list
+    leaf: int
+    lane: int
+    target: int
+    size: int
 
 
-def _moves(
-    group: PlacedGroup, arms: Sequence[TermOffsets], links: Sequence[BodyLink]
-) -> GroupMoves:
-    moves, roots = GroupMoves([], [], [], []), [0] * len(arms)
+class GroupRuns(NamedTuple):
+    """Where the leaves of a group go."""
+
+    terms: list[Run]
+    poses: list[Run]
+    coriolis: list[Run]
+
+
+def _runs(group: PlacedGroup, arms: Sequence[TermOffsets]) -> GroupRuns:
+    runs, roots = GroupRuns([], [], []), [0] * len(arms)
     if group.plain:
-        return moves
+        return runs
     for block in group.blocks:
         for lane, branch in enumerate(block.branches):
             leaves, terms = block.leaves, arms[branch.arm]
             if branch.level == 0:
-                moves.terms.extend(_run(leaves.energy, lane, terms.energy + roots[branch.arm], 1))
+                place = terms.energy + roots[branch.arm]
+                runs.terms.append(Run(leaves.energy, lane, place, 1))
                 roots[branch.arm] += 1
-            for k, joint in enumerate(branch.joints, block.padding(branch)):
-                inertia, coriolis = _entries(block, lane, branch, k, joint, terms)
-                moves.terms.extend(inertia)
-                moves.coriolis.extend(coriolis)
+            for first, joint, count in _in_order(branch):
+                k = block.padding(branch) + first
                 for name, size in (
                     ("jacobian", JACOBIAN_WIDTH),
                     ("bias", 1),
                     ("gravity_torque", 1),
                 ):
-                    source, target = getattr(leaves, name), getattr(terms, name)
-                    moves.terms.extend(_run(source + size * k, lane, target + size * joint, size))
-                source, target = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
-                moves.poses.extend(_run(source, lane, target, POSE_WIDTH))
-                if k in block.carries:
-                    source = block.motions + BODY_WIDTH * block.carries.index(k)
-                    for link in links:
-                        if (link.arm, link.joint) == (branch.arm, joint):
-                            target = BODY_WIDTH * link.row
-                            moves.motions.extend(_run(source, lane, target, BODY_WIDTH))
-    return moves
+                    leaf, place = getattr(leaves, name), getattr(terms, name)
+                    run = Run(leaf + size * k, lane, place + size * joint, size * count)
+                    runs.terms.append(run)
+                leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
+                runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
+            inertia, coriolis = _matrix_runs(block, lane, branch, terms)
+            runs.terms.extend(inertia)
+            runs.coriolis.extend(coriolis)
+    return runs
 
 
-def _run(source: int, lane: int, target: int, count: int) -> Pairs:
-    """Moves of a lane's numbers that follow each other."""
-    return [(LANES * (source + i) + lane, target + i) for i in range(count)]
-
-
-def _entries(
-    block: PlacedBlock, lane: int, branch: Branch, k: int, joint: int, terms: TermOffsets
-) -> tuple[Pairs, Pairs]:
-    """Moves of a joint's row of the inertia, and of its row and column of Coriolis forces."""
-    columns, width = block.columns_of(branch), block.columns
-    inertia, coriolis = [], []
-    for before, column in columns.items():
-        if before > joint:
-            continue
-        at = LANES * (block.leaves.inertia + width * k + column) + lane
-        inertia.append((at, terms.inertia + terms.stride * joint + before))
+def _matrix_runs(
+    block: PlacedBlock, lane: int, branch: Branch, terms: TermOffsets
+) -> tuple[list[Run], list[Run]]:
+    """Runs of the rows of a branch of the inertia; those and columns of Coriolis forces."""
+    inertia, coriolis, leaf = [], [], block.leaves.inertia
+    columns = block.columns_of(branch)
+    for k, joint in enumerate(branch.joints, block.padding(branch)):
         row = block.ancestors + k
-        for (i, j), (a, b) in {
-            (row, column): (joint, before),
-            (column, row): (before, joint),
-        }.items():
-            at = LANES * (block.leaves.inertia + width * i + j) + lane
-            coriolis.append((at, terms.inertia + terms.stride * a + b))
+        for before in branch.ancestors:
+            source, target = leaf + columns[before], terms.inertia + before
+            inertia.append(Run(source + block.columns * k, lane, target + terms.stride * joint, 1))
+            coriolis.append(
+                Run(source + block.columns * row, lane, target + terms.stride * joint, 1)
+            )
+            source, target = leaf + block.columns * columns[before], terms.inertia + joint
+            coriolis.append(Run(source + row, lane, target + terms.stride * before, 1))
+        for _, before, count in _in_order(branch):
+            source, target = leaf + columns[before], terms.inertia + terms.stride * joint + before
+            coriolis.append(Run(source + block.columns * row, lane, target, count))
+            if before <= joint:
+                lower = min(count, joint + 1 - before)
+                inertia.append(Run(source + block.columns * k, lane, target, lower))
     return inertia, coriolis
 
 
-def _stacked(moves: Sequence[Pairs]) -> Moves:
-    """The moves of all groups."""
-    pairs = [pair for group in moves for pair in group]
-    return Moves(_integers(pairs).reshape(-1, 2), _integers(_starts([len(x) for x in moves])))
+def _in_order(branch: Branch) -> list[tuple[int, int, int]]:
+    """Joints of a branch that are numbered in order: place of the first, its number, how many."""
+    joints = np.array(branch.joints)
+    starts = [0, *(np.flatnonzero(np.diff(joints) != 1) + 1), len(joints)]
+    return [(int(a), int(joints[a]), int(b - a)) for a, b in pairwise(starts)]
+
+
+def _moves(groups: Sequence[Sequence[Run]], spare: int) -> Moves:
+    """The moves of runs: by four where that many follow each other."""
+    quads: list[tuple[int, list[int]]] = []
+    singles: Pairs = []
+    sizes: Pairs = []
+    for runs in groups:
+        by_four: dict[int, list[int]] = {}
+        count = len(singles)
+        for run in runs:
+            if run.size < LANES:
+                singles += [
+                    (LANES * (run.leaf + k) + run.lane, run.target + k) for k in range(run.size)
+                ]
+                continue
+            # the last four may repeat numbers of those before
+            for k in (*range(0, run.size - LANES, LANES), run.size - LANES):
+                places = by_four.setdefault(LANES * (run.leaf + k), [spare] * LANES)
+                assert places[run.lane] == spare, "a number has one place"
+                places[run.lane] = run.target + k
+        quads += sorted(by_four.items())
+        sizes.append((len(by_four), len(singles) - count))
+    return Moves(
+        quads=_integers([leaf for leaf, _ in quads]),
+        places=_integers([places for _, places in quads]).reshape(-1, LANES),
+        sources=_integers([source for source, _ in singles]),
+        targets=_integers([target for _, target in singles]),
+        first_quad=_integers(_starts([quad for quad, _ in sizes])),
+        first_single=_integers(_starts([single for _, single in sizes])),
+    )
+
+
+def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, int]]:
+    """The first number of each motion of a link in the leaves, and in the bodies."""
+    places = {} if group.plain else group.places()
+    motions = []
+    for block in group.blocks:
+        for slot, k in enumerate(block.carries):
+            row = block.first_link + block.ancestors + k
+            source = LANES * (block.motions + BODY_WIDTH * slot)
+            for link in links:
+                place = places.get((link.arm, link.joint), -1)
+                if place // LANES == row:
+                    motions.append((source + place % LANES, BODY_WIDTH * link.row))
+    return motions
 
 
 def _divides(group: PlacedGroup) -> list[bool]:

@@ -113,15 +113,33 @@ class TermOffsets(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """Where the leaves of each group go.
+    """Where the leaves of each group go; lanes without a place go to the last four numbers.
 
-    moves : int64 (m, 2)
-        A number in the leaves, and its place.
-    first : int64 (g + 1,)
-        The first move of each group.
+    quads, places : int64 (m,), (m, 4)
+        Four packs that follow each other in the leaves, and a place for each lane's four numbers.
+    sources, targets : int64 (k,)
+        Single numbers of the leaves, and their places.
+    first_quad, first_single : int64 (g + 1,)
+        The first ones of each group.
     """
 
-    moves: Ints2
+    quads: Ints1
+    places: Ints2
+    sources: Ints1
+    targets: Ints1
+    first_quad: Ints1
+    first_single: Ints1
+
+
+class Motions(NamedTuple):
+    """Bodies of each group: the first numbers of a lane of leaves, and of a row of the bodies.
+
+    first : int64 (g + 1,)
+        The first one of each group.
+    """
+
+    sources: Ints1
+    targets: Ints1
     first: Ints1
 
 
@@ -172,8 +190,10 @@ class Groups(NamedTuple):
         Of plain arms: offset of the terms of the first one; their number, the same for each.
     bodies : int64 (g, 4)
         Of plain arms: rows of the bodies.
-    terms, poses, motions, coriolis : Moves
-        To the terms; those of poses; to the bodies; to the matrices of Coriolis forces.
+    terms, poses, coriolis : Moves
+        To the terms; those of poses; to the matrices of Coriolis forces.
+    motions : Motions
+        To the bodies.
     """
 
     first_block: Ints1
@@ -183,12 +203,12 @@ class Groups(NamedTuple):
     bodies: Ints2
     terms: Moves
     poses: Moves
-    motions: Moves
     coriolis: Moves
+    motions: Motions
 
 
 class Sizes(NamedTuple):
-    """Rows of scratch and leaves of the largest group; terms of all arms."""
+    """Rows of scratch and leaves of the largest group; terms of all arms and four numbers more."""
 
     rows: Int
     leaves: Int
