@@ -4,73 +4,42 @@ from __future__ import annotations
 
 import ctypes
 import math
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from compiled_robots import GRAVITY, Compiled, arm_of, largest_difference, random_base
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import PANDA_FINGERS, chain_urdf
 from random_structures import link_frames, random_structure, random_tree
 from refusals import refused
-from scipy.spatial.transform import Rotation
 
-from multiarm.arms.arm import Arm, ArmFiles
+from multiarm.arms.arm import Arm
 from multiarm.arms.chain import JOINT_WIDTH, ChainJoint
 from multiarm.arms.compiled import backend as compiled_backend
 from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
 from multiarm.arms.compiled.kernels import FAR, write_sines
 from multiarm.arms.compiled.packing import make_tables
 from multiarm.arms.compiled.reference import pinocchio_terms
-from multiarm.arms.compiled.tables import MOST_JOINTS, Wanted
+from multiarm.arms.compiled.tables import MOST_JOINTS
 from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.contacts.motion import BodyMotion
 from multiarm.errors import ModelError
 from multiarm.jit.rows import fields_of, offset_of
 from multiarm.scene import available_robots, find_robot, read_urdf
 
-GRAVITY = np.array([1.0, -2.0, -9.0])
 EPS = np.finfo(float).eps
 
 
 # --- arms ----------------------------------------------------------------------------------------
 
 
-def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
-    base = np.eye(4) if base is None else base
-    return Arm(name, ArmFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors)
-
-
-def random_base(rng, away=1.0) -> np.ndarray:
-    base = np.eye(4)
-    base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    base[:3, 3] = away * rng.uniform(-1, 1, 3)
-    return base
-
-
-def compiled(structures, gravity=GRAVITY, order=None):
+def compiled(structures, gravity=GRAVITY):
     """Compiled arms in one system, their positions and velocities, and where each arm's are."""
-    places = list(range(len(structures)))
-    first = np.cumsum([0] + [own.masses.size for own in structures])
-    links = [(k, own.masses.size) for k, own in enumerate(structures)]
-    tables = make_tables(
-        structures, first[:-1].tolist(), compiled_backend._body_links(places, links), gravity
-    )
-    wanted = Wanted(gravity_torque=True, poses=True)
-    copies = CompiledBackend(tables._replace(wanted=wanted), places, {}, links)
-    angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    copies.bind(angles, rates, np.zeros((len(structures), 24)))
-    return copies, angles, rates, [slice(a, b) for a, b in pairwise(first)]
-
-
-def largest_difference(found: LinkTerms, expected: LinkTerms) -> dict[str, float]:
-    """Of each quantity, relative to its largest entry (to 1 where that is smaller)."""
-    return {
-        name: float(np.max(np.abs(own - other)) / max(np.max(np.abs(other)), 1.0))
-        for name, own, other in zip(LinkTerms._fields, found, expected, strict=True)
-    }
+    links = [(k, arm.masses.size) for k, arm in enumerate(structures)]
+    system = Compiled(structures, links, gravity)
+    return system.backend, system.angles, system.rates, system.parts
 
 
 # --- against Pinocchio ---------------------------------------------------------------------------
@@ -127,7 +96,7 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
     folder, arms = tmp_path_factory.mktemp("chains"), []
     for k in range(rng.integers(1, 10)):
         joints = int(rng.integers(1, 17))
-        (folder / f"{k}.urdf").write_text(random_tree(rng, range(-1, joints - 1)))
+        (folder / f"{k}.urdf").write_text(random_tree(rng, chain(joints)))
         arms.append(arm_of(folder / f"{k}.urdf", "tip", random_base(rng, away)))
     gravity = rng.uniform(-10, 10, 3)
     copies, angles, rates, own = compiled([arm.structure() for arm in arms], gravity)
@@ -147,8 +116,13 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
 # --- against mechanics ---------------------------------------------------------------------------
 
 
+def chain(joints: int) -> tuple[int, ...]:
+    """Parents of the joints of a chain."""
+    return tuple(range(-1, joints - 1))
+
+
 def random_arm(rng, joints: int) -> ArmStructure:
-    return random_structure(rng, range(-1, joints - 1))
+    return random_structure(rng, chain(joints))
 
 
 def kinetic_energy(arm: ArmStructure, q, v) -> float:
@@ -182,10 +156,10 @@ def gradient(function, x, h=1e-3):
     return np.array([rate([function(x + t * e) for t in (-2, -1, 1, 2)], h) for e in steps])
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 6])
-def test_terms_are_those_of_lagrange(joints, rng):
+@pytest.mark.parametrize("parents", [*map(chain, (1, 2, 3, 6)), (-1, 0, 0, 2, -1)], ids=str)
+def test_terms_are_those_of_lagrange(parents, rng):
     """Kinetic and potential energy of rigid links, differentiated; Pinocchio has no part in it."""
-    arms = [random_arm(rng, joints) for _ in range(3)]
+    arms = [random_structure(rng, parents) for _ in range(3)]
     copies, angles, rates, own = compiled(arms)
     angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-2, 2, rates.size)
     copies.update(with_coriolis=True)

@@ -229,8 +229,11 @@ def inwards(tables, work, b):
 
 @inlined
 def add_to_parents(blocks, b, sums, scratch, first, size):
-    """Add what a block sums up, from number ``first`` of a row on, to the rows of its parents."""
-    for lane in range(blocks.branches[b]):
+    """Add what a block sums up, from number ``first`` of a row on, to the rows of its parents.
+
+    The last lane is the first: so the order of sums does not depend on how branches share blocks.
+    """
+    for lane in range(blocks.branches[b] - 1, -1, -1):
         at = place_in(size, blocks.parents[b, lane])
         for k in range(LANES * first, LANES * size, LANES):
             scratch[at + k] += sums[k + lane]
