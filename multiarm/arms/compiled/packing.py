@@ -126,7 +126,7 @@ def make_tables(
     blocks = [block for group in groups for block in group.blocks]
     first_terms, terms = _first_terms(groups)
     arms = _arm_offsets(groups, first_terms)
-    rows = 1 + max(group.blocks[-1].rows for group in groups)  # the last one is always zero
+    rows = max(group.blocks[-1].rows for group in groups)
     constants = np.concatenate([_constants(block, structures) for block in blocks])  # (J, 34, 4)
     turns = fields_of(ChainJoint, constants.swapaxes(1, 2)).turns
     bases = [
@@ -134,7 +134,7 @@ def make_tables(
         for block in blocks
     ]
     return ArmTables(
-        blocks=_block_table(groups, zeros=LANES * (rows - 1)),
+        blocks=_block_table(groups),
         groups=_group_table(groups, first_terms, terms, arms, links),
         arms=np.array(arms, dtype=np.int64),
         energies=np.concatenate([arm.energy + np.arange(arm.energies) for arm in arms]),
@@ -239,8 +239,7 @@ def _arm_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> 
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def _block_table(groups: Sequence[PlacedGroup], zeros: int) -> Blocks:
-    """The table of all blocks; ``zeros`` is a place whose numbers are zero."""
+def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
     blocks = [block for group in groups for block in group.blocks]
     lineage: list[list[int]] = []
     parents, first_ancestor = [], []
@@ -251,9 +250,9 @@ def _block_table(groups: Sequence[PlacedGroup], zeros: int) -> Blocks:
             lanes = []
             for x in block.filled():
                 way = [places[x.arm, joint] for joint in x.ancestors]
-                lanes.append([zeros] * (block.ancestors - len(way)) + way)
+                lanes.append(way[:1] * (block.ancestors - len(way)) + way)
             lineage += np.transpose(lanes).astype(int).tolist()
-            parents.append([lane[-1] if lane else zeros for lane in lanes])
+            parents.append([lane[-1] if lane else 0 for lane in lanes])
     joints = [block.joints for block in blocks]
     return Blocks(
         joints=_integers(joints),

@@ -150,9 +150,9 @@ class Blocks(NamedTuple):
         Number of joints; the first one among those of all blocks.
     ancestors, lineage, first_ancestor : int64 (b,), (a, 4), (b,)
         How many joints are before the longest way of a lane's branch; the places of each lane's,
-        from the base on, and the block's first one.  Shorter ways begin with places of zeros.
+        from the base on, and the block's first one.  Shorter ways repeat their first one.
     parents : int64 (b, 4)
-        Place of the link on which each lane's branch begins.
+        Place of the link at which each lane's branch begins, where that is not the base.
     branches : int64 (b,)
         Number of lanes that have one.
     first_link : int64 (b,)
