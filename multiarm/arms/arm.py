@@ -19,10 +19,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.terms import ArmStructure, ArmTerms, LinkPose, LinkTerms, TipKinematics
-from multiarm.contacts.motion import BodyMotion
+from multiarm.arms.terms import ArmStructure, ArmTerms, TipKinematics
 from multiarm.errors import ModelError
-from multiarm.jit.rows import as_row
 from multiarm.notation import count_of
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
@@ -296,29 +294,6 @@ class Arm:
             armature=np.array(model.armature),
         )
 
-    def reference(
-        self, angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
-    ) -> list[LinkTerms]:
-        """Pinocchio's terms at some states, as copies.
-
-        Parameters
-        ----------
-        angles, rates : ndarray, shape (k, n)
-            Joint positions [rad or m] and velocities.
-        gravity : ndarray, shape (3,)
-        """
-        model, near = self.model.copy(), self.model.copy()
-        model.gravity.linear = np.array(gravity)
-        # Coriolis matrices are computed about the world's origin and lose digits far from it
-        near.jointPlacements[1].translation = np.zeros(3)
-        data = model.createData(), near.createData()
-        terms = []
-        for angle, rate in zip(angles, rates, strict=True):
-            q = self.configuration(angle)
-            coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
-            terms.append(_link_terms(model, data[0], q, rate, self.tip.joint, coriolis))
-        return terms
-
     def visual_model(self) -> pin.GeometryModel:
         """The visual geometry of robot and tool, placed consistently with :attr:`model`.
 
@@ -337,39 +312,6 @@ def _motion(joint: pin.JointModel) -> np.ndarray:
     data = joint.createData()
     joint.calc(data, np.concatenate([np.zeros(joint.idx_q), [1.0, 0.0][: joint.nq]]))
     return np.array(data.S).ravel()
-
-
-def _link_terms(
-    model: pin.Model, data: pin.Data, q: np.ndarray, v: np.ndarray, tip: int, coriolis: np.ndarray
-) -> LinkTerms:
-    inertia = np.triu(pin.crba(model, data, q, pin.Convention.LOCAL))
-    gravity_torque = pin.computeGeneralizedGravity(model, data, q).copy()
-    bias = pin.nonLinearEffects(model, data, q, v).copy()
-    energy = pin.computePotentialEnergy(model, data, q)
-    jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
-    pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    poses = [as_row(LinkPose(X.rotation, X.translation)) for X in data.oMi.tolist()[1:]]
-    R, twist = data.oMi[tip].rotation, data.v[tip]
-    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    drift = pin.getClassicalAcceleration(model, data, tip, axes)
-    body = BodyMotion(
-        rotation=R,
-        origin=data.oMi[tip].translation,
-        velocity=R @ twist.linear,
-        spin=R @ twist.angular,
-        acceleration=drift.linear,
-        spin_rate=drift.angular,
-    )
-    return LinkTerms(
-        inertia=inertia + np.triu(inertia, 1).T,
-        jacobian=jacobian,
-        bias=bias,
-        gravity_torque=gravity_torque,
-        poses=np.array(poses),
-        body=as_row(body),
-        energy=np.array([energy]),
-        coriolis=coriolis,
-    )
 
 
 def _positive_or_infinite(values: np.ndarray) -> np.ndarray:

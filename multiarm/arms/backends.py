@@ -90,7 +90,7 @@ class ArmBackends:
             for joint in dict.fromkeys(tip.joint for tip in arm.tips.values())
         )
         if compiled:
-            self._compiled, self.reasons = compile_arms(arms, gravity)
+            self._compiled, self.reasons = compile_arms(arms, gravity, self.links)
         for name, reason in self.reasons.items():
             warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
         names, in_order = list(arms), list(arms.values())

@@ -205,13 +205,14 @@ class LinkTerms(NamedTuple):
     inertia : (n, n)
         Of the joints.
     jacobian : (6, n)
-        Of the link that carries the tip: world axes, about the world's origin.
+        Each column as if its joint moved the whole arm: world axes, about the world's origin.
     bias, gravity_torque : (n,)
         Coriolis, centrifugal and gravity forces; the gravity forces alone.
     poses : (n, 12)
         Of the links of all joints in the world, see :class:`LinkPose`.
-    body : (24,)
-        Motion of the link that carries the tip, see :class:`multiarm.contacts.motion.BodyMotion`.
+    bodies : (m, 24)
+        Motion of the links that take part in connections, see
+        :class:`multiarm.contacts.motion.BodyMotion`.
     energy : (1,)
         Potential energy [J], zero at the world's origin.
     coriolis : (n, n)
@@ -224,6 +225,6 @@ class LinkTerms(NamedTuple):
     bias: np.ndarray
     gravity_torque: np.ndarray
     poses: np.ndarray
-    body: np.ndarray
+    bodies: np.ndarray
     energy: np.ndarray
     coriolis: np.ndarray

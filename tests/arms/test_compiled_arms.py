@@ -4,69 +4,42 @@ from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from compiled_robots import GRAVITY, Compiled, arm_of, largest_difference, random_base
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mechanics import PANDA_FINGERS, chain_urdf
 from random_structures import link_frames, random_structure, random_tree
 from refusals import refused
-from scipy.spatial.transform import Rotation
 
-from multiarm.arms.arm import Arm, ArmFiles
+from multiarm.arms.arm import Arm
 from multiarm.arms.chain import JOINT_WIDTH, ChainJoint
 from multiarm.arms.compiled import backend as compiled_backend
 from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
 from multiarm.arms.compiled.kernels import FAR, write_sines
-from multiarm.arms.compiled.tables import MOST_JOINTS, Wanted, make_tables
+from multiarm.arms.compiled.packing import make_tables
+from multiarm.arms.compiled.reference import pinocchio_terms
+from multiarm.arms.compiled.tables import MOST_JOINTS
 from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.contacts.motion import BodyMotion
 from multiarm.errors import ModelError
 from multiarm.jit.rows import fields_of, offset_of
 from multiarm.scene import available_robots, find_robot, read_urdf
 
-GRAVITY = np.array([1.0, -2.0, -9.0])
 EPS = np.finfo(float).eps
 
 
 # --- arms ----------------------------------------------------------------------------------------
 
 
-def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
-    base = np.eye(4) if base is None else base
-    return Arm(name, ArmFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors)
-
-
-def random_base(rng, away=1.0) -> np.ndarray:
-    base = np.eye(4)
-    base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
-    base[:3, 3] = away * rng.uniform(-1, 1, 3)
-    return base
-
-
-def compiled(structures, gravity=GRAVITY, order=None):
+def compiled(structures, gravity=GRAVITY):
     """Compiled arms in one system, their positions and velocities, and where each arm's are."""
-    places = list(range(len(structures)))
-    first = np.cumsum([0] + [own.masses.size for own in structures])
-    tables = make_tables(structures, places, first[:-1].tolist(), gravity)
-    wanted = Wanted(gravity_torque=True, poses=True)
-    copies = CompiledBackend(tables._replace(wanted=wanted), places, {})
-    angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    copies.bind(angles, rates, np.zeros((len(structures), 24)))
-    return copies, angles, rates, [slice(a, b) for a, b in pairwise(first)]
-
-
-def largest_difference(found: LinkTerms, expected: LinkTerms) -> dict[str, float]:
-    """Of each quantity, relative to its largest entry (to 1 where that is smaller)."""
-    return {
-        name: float(np.max(np.abs(own - other)) / max(np.max(np.abs(other)), 1.0))
-        for name, own, other in zip(LinkTerms._fields, found, expected, strict=True)
-    }
+    links = [(k, arm.masses.size) for k, arm in enumerate(structures)]
+    system = Compiled(structures, links, gravity)
+    return system.backend, system.angles, system.rates, system.parts
 
 
 # --- against Pinocchio ---------------------------------------------------------------------------
@@ -109,7 +82,7 @@ def test_terms_are_pinocchios(robot, tip, joints, rng):
     for _ in range(3):
         angles[:], rates[:] = rng.uniform(-3, 3, joints), rng.uniform(-3, 3, joints)
         copies.update(with_coriolis=True)
-        (expected,) = arm.reference(angles[None, own], rates[None, own], GRAVITY)
+        (expected,) = pinocchio_terms(arm, [joints], angles[None, own], rates[None, own], GRAVITY)
         worst = largest_difference(copies.terms(0), expected)
         assert max(worst.values()) < 1e-13, worst
 
@@ -123,7 +96,7 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
     folder, arms = tmp_path_factory.mktemp("chains"), []
     for k in range(rng.integers(1, 10)):
         joints = int(rng.integers(1, 17))
-        (folder / f"{k}.urdf").write_text(random_tree(rng, range(-1, joints - 1)))
+        (folder / f"{k}.urdf").write_text(random_tree(rng, chain(joints)))
         arms.append(arm_of(folder / f"{k}.urdf", "tip", random_base(rng, away)))
     gravity = rng.uniform(-10, 10, 3)
     copies, angles, rates, own = compiled([arm.structure() for arm in arms], gravity)
@@ -133,7 +106,9 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
     rates[:] = rng.uniform(-3, 3, slides.size)
     copies.update(with_coriolis=True)
     for k, (arm, part) in enumerate(zip(arms, own, strict=True)):
-        (expected,) = arm.reference(angles[None, part], rates[None, part], gravity)
+        (expected,) = pinocchio_terms(
+            arm, [arm.dof], angles[None, part], rates[None, part], gravity
+        )
         worst = largest_difference(copies.terms(k), expected)
         assert max(worst.values()) < 1e-11, (arm, worst)
 
@@ -141,8 +116,13 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
 # --- against mechanics ---------------------------------------------------------------------------
 
 
+def chain(joints: int) -> tuple[int, ...]:
+    """Parents of the joints of a chain."""
+    return tuple(range(-1, joints - 1))
+
+
 def random_arm(rng, joints: int) -> ArmStructure:
-    return random_structure(rng, range(-1, joints - 1))
+    return random_structure(rng, chain(joints))
 
 
 def kinetic_energy(arm: ArmStructure, q, v) -> float:
@@ -176,10 +156,10 @@ def gradient(function, x, h=1e-3):
     return np.array([rate([function(x + t * e) for t in (-2, -1, 1, 2)], h) for e in steps])
 
 
-@pytest.mark.parametrize("joints", [1, 2, 3, 6])
-def test_terms_are_those_of_lagrange(joints, rng):
+@pytest.mark.parametrize("parents", [*map(chain, (1, 2, 3, 6)), (-1, 0, 0, 2, -1)], ids=str)
+def test_terms_are_those_of_lagrange(parents, rng):
     """Kinetic and potential energy of rigid links, differentiated; Pinocchio has no part in it."""
-    arms = [random_arm(rng, joints) for _ in range(3)]
+    arms = [random_structure(rng, parents) for _ in range(3)]
     copies, angles, rates, own = compiled(arms)
     angles[:], rates[:] = rng.uniform(-3, 3, angles.size), rng.uniform(-2, 2, rates.size)
     copies.update(with_coriolis=True)
@@ -190,7 +170,7 @@ def test_terms_are_those_of_lagrange(joints, rng):
         held = gradient(lambda x, arm=arm: potential_energy(arm, x), q)
         np.testing.assert_allclose(found.gravity_torque, held, atol=1e-9)
         R, p = link_frames(arm, q)[-1]
-        body = fields_of(BodyMotion, found.body)
+        body = fields_of(BodyMotion, found.bodies[0])
         np.testing.assert_allclose(body.rotation, R, atol=1e-14)
         np.testing.assert_allclose(body.origin, p, atol=1e-14)
 
@@ -215,7 +195,7 @@ def test_motion_of_the_last_link_is_the_derivative_of_its_pose(rng):
     q, v = rng.uniform(-3, 3, 6), rng.uniform(-2, 2, 6)
     angles[:], rates[:] = q, v
     copies.update()
-    body = fields_of(BodyMotion, copies.terms(0).body)
+    body = fields_of(BodyMotion, copies.terms(0).bodies[0])
     h = 1e-3
     times = (-2 * h, -h, h, 2 * h)
     frames = [link_frames(arm, q + t * v)[-1] for t in times]
@@ -227,7 +207,7 @@ def test_motion_of_the_last_link_is_the_derivative_of_its_pose(rng):
     for t in times:
         angles[:] = q + t * v
         copies.update()
-        moved = fields_of(BodyMotion, copies.terms(0).body)
+        moved = fields_of(BodyMotion, copies.terms(0).bodies[0])
         twists.append(np.array([moved.velocity, moved.spin]))
     accelerations = body.acceleration, body.spin_rate
     np.testing.assert_allclose(accelerations, rate(twists, h), atol=1e-8)
@@ -245,7 +225,7 @@ def test_an_arm_far_away_loses_no_digits(rng):
     here, there = copies.terms(0), copies.terms(1)
     for name in ("inertia", "bias", "gravity_torque", "coriolis"):
         np.testing.assert_array_equal(getattr(there, name), getattr(here, name), name)
-    np.testing.assert_array_equal(there.body[12:], here.body[12:])
+    np.testing.assert_array_equal(there.bodies[0, 12:], here.bodies[0, 12:])
     np.testing.assert_array_equal(there.jacobian[3:], here.jacobian[3:])
 
 
@@ -304,12 +284,12 @@ def test_far_angles_are_left_to_the_library(rng):
     angles[:] = [3e5, -1e12, 0.7]
     copies.update()
     R, p = link_frames(arm, angles)[-1]
-    found = copies.terms(0).body
+    found = copies.terms(0).bodies[0]
     body = fields_of(BodyMotion, found)
     assert max(np.max(np.abs(body.rotation - R)), np.max(np.abs(body.origin - p))) < 1e-3
     angles[:2] = np.arctan2(np.sin(angles[:2]), np.cos(angles[:2]))
     copies.update()
-    np.testing.assert_allclose(copies.terms(0).body, found, atol=1e-15)
+    np.testing.assert_allclose(copies.terms(0).bodies[0], found, atol=1e-15)
 
 
 def test_a_position_that_is_no_number_spoils_its_arm_only(rng):
@@ -337,7 +317,7 @@ def panda():
 
 
 def test_an_arm_that_is_compiled_is_the_arm(panda):
-    found, reasons = compile_arms({"panda": panda}, GRAVITY)
+    found, reasons = compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
     assert found.places == (0,) and reasons == {}
 
 
@@ -364,13 +344,13 @@ def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
     """Whichever of its numbers is off, by a billionth."""
     monkeypatch.setattr(compiled_backend, "make_tables", one_constant(column, 1e-9))
     with refused(ModelError, "'panda'"):
-        compile_arms({"panda": panda}, GRAVITY)
+        compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
 
 
 def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
     monkeypatch.setattr(compiled_backend, "make_tables", one_constant(ARMATURE, 0.1))
     with pytest.raises(ModelError) as caught:
-        compile_arms({"panda": panda}, GRAVITY)
+        compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
     for part in ("arm 'panda'", "the inertia", "e-02 of its largest", "arms: pinocchio"):
         assert part in str(caught.value)
 
@@ -386,10 +366,12 @@ def test_every_quantity_is_compared(quantity, panda, monkeypatch):
         values.flat[-1] = np.nan
         return found._replace(**{quantity: values})
 
-    found, _ = compile_arms({"panda": panda}, GRAVITY)
+    found, _ = compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
     monkeypatch.setattr(CompiledBackend, "terms", spoiled)
     with refused(ModelError, compiled_backend._WORDS[quantity]):
-        compiled_backend.verify(found.tables, found.places, {"panda": panda}, LinkTerms._fields)
+        compiled_backend.verify(
+            found.tables, found.places, {"panda": panda}, [(0, 7)], LinkTerms._fields
+        )
 
 
 @pytest.mark.parametrize("kinds", ["z", "w", "zzz", "uvw", "Zw", "Z" * 16])
@@ -405,18 +387,20 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
         base = random_base(rng)
         base[:3, 3] = 3.0 * base[:3, 0]
         arm = arm_of(tmp_path / "chain.urdf", "tip", base)
-        found, _ = compile_arms({"arm": arm}, gravity * base[:3, 2])
+        found, _ = compile_arms({"arm": arm}, gravity * base[:3, 2], [(0, arm.dof)])
         assert found.places == (0,)
-        compiled_backend.verify(found.tables, found.places, {"arm": arm}, compiled_backend.CORIOLIS)
+        compiled_backend.verify(
+            found.tables, found.places, {"arm": arm}, [(0, arm.dof)], compiled_backend.CORIOLIS
+        )
 
 
 def test_more_than_sixteen_joints_stay_with_pinocchio_and_say_so(tmp_path, panda):
     (tmp_path / "chain.urdf").write_text(chain_urdf("xyz" * 5 + "xy"))
     long = arm_of(tmp_path / "chain.urdf", "tip", name="long")
-    found, reasons = compile_arms({"long": long, "panda": panda}, GRAVITY)
+    found, reasons = compile_arms({"long": long, "panda": panda}, GRAVITY, [(0, 17), (1, 7)])
     assert found.places == (1,)
-    assert reasons == {"long": "it has 17 joints; at most 16 are compiled"}
-    alone, _ = compile_arms({"long": long}, GRAVITY)
+    assert reasons == {"long": "it has 17 joints between base and a link; at most 16 are compiled"}
+    alone, _ = compile_arms({"long": long}, GRAVITY, [(0, 17)])
     assert alone is None
 
 
@@ -445,20 +429,6 @@ def test_what_no_table_describes_is_said_in_words(panda):
     hinge, screw = pin.JointModelRX(), pin.JointModelHX(0.1)
     with refused(ModelError, "j2"):
         unusual(panda, (0, hinge), (1, screw)).structure()
-
-
-@pytest.mark.parametrize("parents", [(0, 1, 1), (0, 0), (0, 1, 2, 1)])
-def test_branches_stay_with_pinocchio(panda, parents):
-    tree = unusual(panda, *((parent, pin.JointModelRX()) for parent in parents))
-    backend, reasons = compile_arms({"tree": tree}, GRAVITY)
-    assert backend is None and reasons == {"tree": "it has branches"}
-
-
-def test_joints_after_the_tip_stay_with_pinocchio(panda):
-    hinge = pin.JointModelRX()
-    long = with_tip_on(unusual(panda, (0, hinge), (1, hinge)), 1)
-    backend, reasons = compile_arms({"long": long}, GRAVITY)
-    assert backend is None and reasons == {"long": "joints follow after its tip"}
 
 
 def test_states_of_the_verification_are_the_arms_own(panda):

@@ -346,7 +346,7 @@ def test_any_arm_may_be_the_one_that_stays(compiled_ones, monkeypatch, rng):
 
 def test_an_arm_that_stays_says_so(monkeypatch):
     monkeypatch.setattr(compiled_backend, "MOST_JOINTS", 6)
-    reason = "it has 7 joints; at most 6 are compiled"
+    reason = "it has 7 joints between base and a link; at most 6 are compiled"
     with pytest.warns(UserWarning, match=f"arm 'middle' stays with Pinocchio: {reason}") as told:
         system = ma.compile_system(three_kinds(), arms="compiled")
     assert len(told) == 1

@@ -12,15 +12,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.arms.chain import require_chain
+from multiarm.arms.compiled.branches import most_in_a_row
 from multiarm.arms.compiled.coriolis import update_coriolis
 from multiarm.arms.compiled.kernels import update_arms
+from multiarm.arms.compiled.packing import BodyLink, make_tables
+from multiarm.arms.compiled.reference import at_rest, pinocchio_terms
 from multiarm.arms.compiled.tables import (
     JACOBIAN_WIDTH,
     MOST_JOINTS,
     ArmTables,
+    TermOffsets,
     Wanted,
-    make_tables,
     make_terms,
     make_work,
 )
@@ -38,7 +40,7 @@ from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import address_of, call_whole
 from multiarm.jit.rows import as_row, fields_of, offset_of
-from multiarm.jit.structs import make_struct
+from multiarm.jit.structs import struct_of
 
 # Number of random states; bounds of positions [rad, m] and velocities [rad/s, m/s].
 STATES, LARGEST_POSITION, LARGEST_VELOCITY = 8, np.pi, 3.0
@@ -50,21 +52,29 @@ _WORDS = {
     "bias": "the bias force",
     "gravity_torque": "the gravity torque",
     "poses": "the pose of a link",
-    "body": "the motion of the tip's link",
+    "bodies": "the motion of a link",
     "energy": "the potential energy",
     "coriolis": "the matrix of Coriolis forces",
 }
 # Where parts of a quantity begin that have other units.
 _PARTS = {
-    "body": tuple(offset_of(BodyMotion, name) for name in ("origin", "velocity", "acceleration")),
+    "bodies": tuple(offset_of(BodyMotion, name) for name in ("origin", "velocity", "acceleration")),
     "poses": (offset_of(LinkPose, "origin"),),
 }
 
 
 def compile_arms(
-    arms: Mapping[str, Arm], gravity: np.ndarray
+    arms: Mapping[str, Arm], gravity: np.ndarray, links: Sequence[tuple[int, int]]
 ) -> tuple[CompiledBackend | None, dict[str, str]]:
     """Backend of all arms that can be compiled, verified against Pinocchio.
+
+    Parameters
+    ----------
+    arms : mapping of str to Arm
+    gravity : ndarray, shape (3,)
+    links : sequence of (int, int)
+        The links whose motion is written to the rows of ``ArmState.bodies``: the arm's number, and
+        Pinocchio's number of the joint that moves the link (0: the base).
 
     Returns
     -------
@@ -89,18 +99,18 @@ def compile_arms(
         return None, reasons
     first = np.cumsum([0, *(arm.dof for arm in arms.values())])
     places = tuple(structures)
-    tables = make_tables(
-        list(structures.values()), places, [int(first[k]) for k in places], gravity
-    )
-    verify(tables, places, arms)
-    return CompiledBackend(tables, places, arms), reasons
+    first_joints = [int(first[place]) for place in places]
+    bodies = _body_links(places, links)
+    tables = make_tables(list(structures.values()), first_joints, bodies, gravity)
+    verify(tables, places, arms, links)
+    return CompiledBackend(tables, places, arms, links), reasons
 
 
 class CompiledBackend:
-    """Arms of one system in compiled code, four at a time; see :mod:`multiarm.arms.backends`.
+    """Arms of one system in compiled code, four branches at a time.
 
-    Its ``pointers`` have no pose, twist and drift: the sweep writes the motion of the link that
-    carries the tip into ``ArmState.bodies``.
+    See :mod:`multiarm.arms.backends`.  The sweep writes the motion of the links that take part in
+    connections into ``ArmState.bodies``.
 
     Parameters
     ----------
@@ -110,27 +120,38 @@ class CompiledBackend:
         The arms' numbers among all arms of the scene.
     arms : mapping of str to Arm
         All arms of the scene, against which the compiled ones are verified.
+    links : sequence of (int, int)
+        See :func:`compile_arms`.
     """
 
-    def __init__(self, tables: ArmTables, places: Sequence[int], arms: Mapping[str, Arm]) -> None:
-        self.tables, self.places, self._arms = tables, tuple(places), arms
+    def __init__(
+        self,
+        tables: ArmTables,
+        places: Sequence[int],
+        arms: Mapping[str, Arm],
+        links: Sequence[tuple[int, int]],
+    ) -> None:
+        self.tables, self.places, self._arms, self._links = tables, tuple(places), arms, links
         self._terms, self._coriolis = make_terms(tables), make_terms(tables)
         self._world = as_row(LinkPose(np.eye(3), np.zeros(3)))
-        self._lanes = [
-            _Lane(tables, place, int(joints))
-            for place, joints in zip(self.places, tables.joints, strict=True)
-        ]
-        self.pointers = np.array([self._pointers(lane) for lane in self._lanes])
+        self._offsets = [TermOffsets(*row) for row in tables.arms.tolist()]
+        self.pointers = np.array([self._pointers(offsets) for offsets in self._offsets])
 
     def copy(self) -> CompiledBackend:
         """The same arms with their own terms; the constants are shared."""
         tables = self.tables._replace(wanted=self.tables.wanted.copy())  # flags of one system
-        return CompiledBackend(tables, self.places, self._arms)
+        return CompiledBackend(tables, self.places, self._arms, self._links)
 
     def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
-        """Let the sweeps read positions and velocities of all joints, and write all bodies."""
+        """Let the sweeps read positions and velocities of all joints, and write all bodies.
+
+        Links of a base are at rest: their rows are written here.
+        """
         self._work = make_work(self.tables, angles, rates, bodies, self._terms, self._coriolis)
-        self._struct = make_struct([*self.tables, *self._work])
+        self._struct = struct_of(self.tables, self._work)
+        for row, (place, joint) in enumerate(self._links):
+            if joint == 0 and place in self.places:
+                bodies.reshape(-1, BODY_WIDTH)[row] = at_rest()
 
     def connect(self, state: ArmState) -> dict[str, int]:
         """Addresses of the function that updates all terms and of its struct, and its size."""
@@ -150,10 +171,10 @@ class CompiledBackend:
         ModelError
             When a compiled matrix is not Pinocchio's.
         """
-        verify(self.tables, self.places, self._arms, CORIOLIS)
+        verify(self.tables, self.places, self._arms, self._links, CORIOLIS)
         at = self._coriolis.ctypes.data
-        for lane in self._lanes:
-            coriolis.matrices[lane.place] = MatrixAddress(at + 8 * lane.square, lane.stride)
+        for place, offsets in zip(self.places, self._offsets, strict=True):
+            coriolis.matrices[place] = MatrixAddress(at + 8 * offsets.inertia, offsets.stride)
         calls, struct = coriolis.calls, self._struct
         calls.compiled, calls.compiled_struct = address_of(update_coriolis), struct.ctypes.data
         calls.compiled_size = struct.size
@@ -167,7 +188,8 @@ class CompiledBackend:
         if joint == 0:
             return self._world.ctypes.data
         self.tables.wanted.poses = True
-        return self._terms.ctypes.data + 8 * self._lanes[self.places.index(place)].pose(joint - 1)
+        poses = self._offsets[self.places.index(place)].poses
+        return self._terms.ctypes.data + 8 * (poses + POSE_WIDTH * (joint - 1))
 
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
@@ -176,29 +198,29 @@ class CompiledBackend:
 
     def terms(self, arm: int) -> LinkTerms:
         """Copies of the last terms of arm number ``arm`` of these."""
-        lane, terms = self._lanes[arm], self._terms
-        n = lane.joints
-        lower = np.tril(_square(terms, lane.square, lane.stride, n))
-        jacobian = terms[lane.jacobian : lane.jacobian + JACOBIAN_WIDTH * n].reshape(n, 6)
+        at, terms, n = self._offsets[arm], self._terms, self._offsets[arm].joints
+        lower = np.tril(_square(terms, at.inertia, at.stride, n))
+        jacobian = terms[at.jacobian : at.jacobian + JACOBIAN_WIDTH * n].reshape(n, 6)
+        rows = [row for row, link in enumerate(self._links) if link[0] == self.places[arm]]
         return LinkTerms(
             inertia=lower + np.tril(lower, -1).T,
             jacobian=jacobian.T.copy(),
-            bias=terms[lane.bias : lane.bias + n].copy(),
-            gravity_torque=terms[lane.gravity_torque : lane.gravity_torque + n].copy(),
-            poses=terms[lane.pose(0) : lane.pose(n)].reshape(n, POSE_WIDTH).copy(),
-            body=self._work.bodies.reshape(-1, BODY_WIDTH)[lane.place].copy(),
-            energy=terms[lane.energy : lane.energy + 1].copy(),
-            coriolis=_square(self._coriolis, lane.square, lane.stride, n).T.copy(),
+            bias=terms[at.bias : at.bias + n].copy(),
+            gravity_torque=terms[at.gravity_torque : at.gravity_torque + n].copy(),
+            poses=terms[at.poses : at.poses + POSE_WIDTH * n].reshape(n, POSE_WIDTH).copy(),
+            bodies=self._work.bodies.reshape(-1, BODY_WIDTH)[rows].copy(),
+            energy=np.sum(terms[at.energy : at.energy + at.energies], keepdims=True),
+            coriolis=_square(self._coriolis, at.inertia, at.stride, n).T.copy(),
         )
 
-    def _pointers(self, lane: _Lane) -> np.ndarray:
+    def _pointers(self, offsets: TermOffsets) -> np.ndarray:
         at = self._terms.ctypes.data
         addresses = TermAddresses(
-            inertia=at + 8 * lane.square,
-            stride=lane.stride,
-            jacobian=at + 8 * lane.jacobian,
-            bias=at + 8 * lane.bias,
-            gravity_torque=at + 8 * lane.gravity_torque,
+            inertia=at + 8 * offsets.inertia,
+            stride=offsets.stride,
+            jacobian=at + 8 * offsets.jacobian,
+            bias=at + 8 * offsets.bias,
+            gravity_torque=at + 8 * offsets.gravity_torque,
         )
         return np.array(addresses, dtype=np.int64)
 
@@ -207,12 +229,13 @@ def verify(
     tables: ArmTables,
     places: Sequence[int],
     arms: Mapping[str, Arm],
+    links: Sequence[tuple[int, int]],
     quantities: Sequence[str] = EVERY_EVALUATION,
 ) -> None:
     """Compare compiled arms with Pinocchio's.
 
-    ``places`` are the numbers of the compiled arms among all ``arms`` of the scene, ``quantities``
-    fields of :class:`multiarm.arms.terms.LinkTerms`.
+    ``places`` are the numbers of the compiled arms among all ``arms`` of the scene, ``links`` those
+    of :func:`compile_arms`, ``quantities`` fields of :class:`multiarm.arms.terms.LinkTerms`.
 
     Raises
     ------
@@ -222,8 +245,8 @@ def verify(
     first = np.cumsum([0, *(arm.dof for arm in arms.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
     wanted = Wanted(gravity_torque=True, poses=True)
-    copies = CompiledBackend(tables._replace(wanted=wanted), places, arms)
-    copies.bind(angles, rates, np.zeros((len(arms), BODY_WIDTH)))
+    copies = CompiledBackend(tables._replace(wanted=wanted), places, arms, links)
+    copies.bind(angles, rates, np.zeros((len(links), BODY_WIDTH)))
     every = [list(arms.values())[place] for place in places]
     structures = [arm.structure() for arm in every]
     states = [_random_states(structure) for structure in structures]
@@ -235,36 +258,30 @@ def verify(
         copies.update(with_coriolis=CORIOLIS[0] in quantities)
         for k, terms in enumerate(computed):
             terms.append(copies.terms(k))
-    for arm, structure, (q, v), terms in zip(every, structures, states, computed, strict=True):
-        expected = _stacked(arm.reference(q, v, tables.gravity))
-        floors = _floors(structure, expected, tables.gravity)
-        _compare(arm.name, _stacked(terms), expected, {name: floors[name] for name in quantities})
+    for k, (arm, structure, (q, v)) in enumerate(zip(every, structures, states, strict=True)):
+        joints = [joint for place, joint in links if place == places[k]]
+        expected = _stacked(pinocchio_terms(arm, joints, q, v, tables.gravity))
+        floors = {name: _floors(structure, expected, tables.gravity)[name] for name in quantities}
+        _compare(arm.name, _stacked(computed[k]), expected, floors)
 
 
 def _structure(arm: Arm) -> ArmStructure:
-    if arm.dof > MOST_JOINTS:
-        raise ModelError(f"it has {arm.dof} joints; at most {MOST_JOINTS} are compiled")
-    return require_chain(arm.structure(), arm.tip.joint)
+    structure = arm.structure()
+    depth = most_in_a_row(structure.parents)
+    if depth > MOST_JOINTS:
+        raise ModelError(
+            f"it has {depth} joints between base and a link; at most {MOST_JOINTS} are compiled"
+        )
+    return structure
 
 
-class _Lane:
-    """Offsets of the terms of one arm, with ``joints`` joints and matrices of ``stride`` rows."""
-
-    def __init__(self, tables: ArmTables, place: int, joints: int) -> None:
-        (b, lane), *_ = np.argwhere(tables.arms == place)
-        self.place, self.joints, self.stride = place, joints, int(tables.block_joints[b])
-        before = self.stride - self.joints  # padding
-        at = int(tables.first_term[b] + lane * tables.term_count[b])
-        self.square = at + before * (self.stride + 1)
-        self.jacobian = at + int(tables.jacobian[b]) + JACOBIAN_WIDTH * before
-        self.bias = at + int(tables.bias[b]) + before
-        self.gravity_torque = at + int(tables.gravity_torque[b]) + before
-        self.energy = at + int(tables.energy[b])
-        self._poses = at + int(tables.poses[b]) + POSE_WIDTH * before
-
-    def pose(self, link: int) -> int:
-        """Offset of the pose of one of the arm's links, counted from 0."""
-        return self._poses + POSE_WIDTH * link
+def _body_links(places: Sequence[int], links: Sequence[tuple[int, int]]) -> list[BodyLink]:
+    """The links of the compiled arms that joints move, and their rows."""
+    return [
+        BodyLink(places.index(place), joint - 1, row)
+        for row, (place, joint) in enumerate(links)
+        if place in places and joint > 0
+    ]
 
 
 def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
@@ -296,7 +313,7 @@ def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[st
         "bias": held + LARGEST_VELOCITY**2 * inertia,
         "gravity_torque": held,
         "poses": 1.0,
-        "body": 1.0,
+        "bodies": 1.0,
         "energy": held + mass * weight * away,
         "coriolis": LARGEST_VELOCITY * inertia,
     }
@@ -322,6 +339,6 @@ def _compare(
 
 def _difference(computed: np.ndarray, expected: np.ndarray, floor: float) -> float:
     """Largest difference over the largest entry, or over a larger ``floor``."""
-    largest = float(np.max(np.abs(computed - expected)))
-    scale = max(float(np.max(np.abs(expected))), floor)
+    largest = float(np.max(np.abs(computed - expected), initial=0.0))
+    scale = max(float(np.max(np.abs(expected), initial=0.0)), floor)
     return largest / scale if scale > 0.0 else largest

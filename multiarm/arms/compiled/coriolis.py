@@ -20,15 +20,21 @@ from multiarm.arms.chain import (
     twist_product,
 )
 from multiarm.arms.compiled.kernels import (
+    add_to_parents,
+    copy_lanes,
     load_joints,
+    move,
     outwards,
     transpose_to_arms,
     zero_vector,
 )
 from multiarm.arms.compiled.tables import (
     LINK_LANES,
+    LINK_SUMS,
     TURN_LANES,
+    TURN_SUMS,
     open_arms,
+    open_frame,
     open_link,
     open_turn,
 )
@@ -52,28 +58,44 @@ def update_coriolis(address, size, _a, _b):
     """Write the matrices of Coriolis forces of compiled arms, column by column."""
     tables, work = open_arms(struct_at(address, size))
     load_joints(tables, work)
-    for b in range(tables.block_joints.size):
-        outwards(tables, work, b)
-        rates_outwards(tables, work, b)
-        coriolis_inwards(tables, work, b)
-        transpose_to_arms(
-            work.leaves, 0, tables.block_joints[b] ** 2, work.coriolis, tables.first_term[b],
-            tables.term_count[b],
-        )  # fmt: skip
+    groups = tables.groups
+    for g in range(groups.plain.size):
+        first, end = groups.first_block[g], groups.first_block[g + 1]
+        for b in range(first, end):
+            outwards(tables, work, b)
+            rates_outwards(tables, work, b)
+        for b in range(end - 1, first - 1, -1):
+            coriolis_inwards(tables, work, b)
+        if groups.plain[g]:
+            transpose_to_arms(
+                work.leaves, 0, tables.blocks.joints[first] ** 2, work.coriolis,
+                groups.first_term[g], groups.term_count[g],
+            )  # fmt: skip
+        else:
+            move(work.leaves, groups.coriolis, g, work.coriolis)
     return 0
 
 
 @kernel
 def rates_outwards(tables, work, b):
-    """Rates of the columns, linear momentum and ``G`` of every link of one block."""
-    zero = zero_vector()
-    twist = zero, zero
-    for k in range(tables.block_joints[b]):
+    """Rates of the columns, linear momentum and ``G`` of every link of one block.
+
+    After :func:`outwards` of the same block.
+    """
+    blocks, zero = tables.blocks, zero_vector()
+    twist, row = (zero, zero), blocks.first_link[b] + blocks.ancestors[b]
+    if blocks.ancestors[b] > 0:
+        twist = open_frame(work.start, 0).twist
+        for k in range(blocks.ancestors[b]):
+            places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
+            size = TURN_LANES // LANES
+            copy_lanes(work.link_turns, size, places, work.link_turns, TURN_LANES * at)
+    for k in range(blocks.joints[b]):
         link, turn = (
-            open_link(work.links, LINK_LANES * k),
-            open_turn(work.link_turns, TURN_LANES * k),
+            open_link(work.links, LINK_LANES * (row + k)),
+            open_turn(work.link_turns, TURN_LANES * (row + k)),
         )
-        rate = load_pack(work.rate, LANES * (tables.first_joint[b] + k))
+        rate = load_pack(work.rate, LANES * (blocks.first_joint[b] + k))
         twist = add_scaled_pair(twist, rate, link.column)
         turn.column_rate = twist_product(twist, link.column)
         mass, moment, second = link.mass, link.moment, link.second
@@ -84,12 +106,17 @@ def rates_outwards(tables, work, b):
 @kernel
 def coriolis_inwards(tables, work, b):
     """Matrices of one block into ``leaves``."""
-    links, turns, leaves, n = work.links, work.link_turns, work.leaves, tables.block_joints[b]
+    blocks, links, turns, leaves = tables.blocks, work.links, work.link_turns, work.leaves
+    before, row = blocks.ancestors[b], blocks.first_link[b]
+    n, at = before + blocks.joints[b], blocks.inertia[b]
     zero, mass, half = zero_vector(), broadcast(0.0), broadcast(0.5)
     moment, p = zero, zero
     second, G = zero + zero, (zero, zero, zero)
-    for j in range(n - 1, -1, -1):
-        link, turn = open_link(links, LINK_LANES * j), open_turn(turns, TURN_LANES * j)
+    for j in range(n - 1, before - 1, -1):
+        link, turn = (
+            open_link(links, LINK_LANES * (row + j)),
+            open_turn(turns, TURN_LANES * (row + j)),
+        )
         mass, moment = mass + link.mass, add(moment, link.moment)
         second, p = add_symmetric(second, link.second), add(p, turn.momentum)
         x, y, z = turn.turning
@@ -102,8 +129,17 @@ def coriolis_inwards(tables, work, b):
         f, c = times_inertia(mass, moment, second, turn.column_rate)
         wrench = add_cross(f, angular, p), add_scaled(c, half, rotate(G, angular))
         for k in range(j + 1):
-            before, change = open_link(links, LINK_LANES * k), open_turn(turns, TURN_LANES * k)
-            axis = before.column
+            ancestor, change = (
+                open_link(links, LINK_LANES * (row + k)),
+                open_turn(turns, TURN_LANES * (row + k)),
+            )
+            axis = ancestor.column
             below = power(change.column_rate, momentum) + dot(axis[1], transposed)
-            store_pack(leaves, LANES * (n * k + j), below)
-            store_pack(leaves, LANES * (n * j + k), power(axis, wrench))
+            store_pack(leaves, LANES * (at + n * k + j), below)
+            store_pack(leaves, LANES * (at + n * j + k), power(axis, wrench))
+    if before > 0:
+        sums, turn_sums = open_link(work.link_sum, 0), open_turn(work.turn_sum, 0)
+        sums.mass, sums.moment, sums.second, sums.force = mass, moment, second, (zero, zero)
+        turn_sums.momentum, turn_sums.turning = p, G
+        add_to_parents(blocks, b, work.link_sum, links, LINK_SUMS, LINK_LANES // LANES)
+        add_to_parents(blocks, b, work.turn_sum, turns, TURN_SUMS, TURN_LANES // LANES)

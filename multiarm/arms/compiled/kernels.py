@@ -1,19 +1,23 @@
-r"""Batched RNEA and CRBA: one outward and one inward sweep along four arms at once.
+r"""Batched RNEA and CRBA: one outward and one inward sweep along four branches at once.
 
 The equations of a joint and its link are those of :mod:`multiarm.arms.chain`.  Outwards (recursive
 Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the base being
-accelerated by minus gravity,
+accelerated by minus gravity and p the joint before j,
 
 .. math::
-    v_j = v_{j-1} + S_j \dot q_j, \qquad a_j = a_{j-1} + v_{j-1}\times S_j \dot q_j .
+    v_j = v_p + S_j \dot q_j, \qquad a_j = a_p + v_p\times S_j \dot q_j .
 
 Inwards the forces of all links beyond a joint are summed, and their inertias to that of one
 composite body (6.2), which gives
 
 .. math::
-    b_j = S_j\cdot f_j, \qquad M_{jk} = S_k\cdot I^c_j S_j \quad (k\le j).
+    b_j = S_j\cdot f_j, \qquad M_{jk} = S_k\cdot I^c_j S_j
 
-Potential energy and gravity torques follow from mass and first moment of the composite bodies.
+for all k on the way from the base to j; between branches M is zero.  Potential energy and gravity
+torques follow from mass and first moment of the composite bodies.
+
+A branch begins with what the outward sweep leaves at its parent, and adds to its parent what the
+inward sweep sums up.
 """
 
 from __future__ import annotations
@@ -33,12 +37,16 @@ from multiarm.arms.chain import (
     write_motion,
 )
 from multiarm.arms.compiled.tables import (
+    BODY_LANES,
+    FRAME_LANES,
     JACOBIAN_LANES,
     JOINT_LANES,
     LINK_LANES,
+    LINK_SUMS,
     POSE_LANES,
     open_arms,
     open_body,
+    open_frame,
     open_jacobian,
     open_joint,
     open_link,
@@ -46,7 +54,14 @@ from multiarm.arms.compiled.tables import (
 )
 from multiarm.contacts.motion import BODY_WIDTH
 from multiarm.jit.kernels import cfunc, inlined, kernel
-from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack, transpose_four
+from multiarm.jit.simd import (
+    LANES,
+    broadcast,
+    gather_pack,
+    load_pack,
+    store_pack,
+    transpose_four,
+)
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import (
     add,
@@ -63,13 +78,20 @@ from multiarm.jit.vectors import (
 
 @cfunc
 def update_arms(address, size, _a, _b):
-    """Write all terms of compiled arms, and the motion of the links that carry their tips."""
+    """Write all terms of compiled arms, and the motion of links that take part in connections."""
     tables, work = open_arms(struct_at(address, size))
     load_joints(tables, work)
-    for b in range(tables.block_joints.size):
-        outwards(tables, work, b)
-        inwards(tables, work, b)
-        transpose_terms(tables, work, b)
+    groups = tables.groups
+    for g in range(groups.plain.size):
+        first, end = groups.first_block[g], groups.first_block[g + 1]
+        for b in range(first, end):
+            outwards(tables, work, b)
+        for b in range(end - 1, first - 1, -1):
+            inwards(tables, work, b)
+        if groups.plain[g]:
+            transpose_terms(tables, work, g)
+        else:
+            move_terms(tables, work, g)
     return 0
 
 
@@ -89,21 +111,20 @@ def load_joints(tables, work):
 
 @kernel
 def outwards(tables, work, b):
-    """Columns, inertias and forces of the links of one block; Jacobians, poses and bodies."""
-    constants, links, leaves = tables.constants, work.links, work.leaves
-    zero, gravity = zero_vector(), broadcast_vector(tables.gravity)
-    one, none = broadcast(1.0), broadcast(0.0)
-    axes, origin = (
-        ((one, none, none), (none, one, none), (none, none, one)),
-        vector_at(tables.bases[b], 0),
-    )
-    p, twist, rate_of_twist = zero, (zero, zero), (sub(zero, gravity), zero)
-    first, n = tables.first_joint[b], tables.block_joints[b]
-    jacobian, pose = LANES * tables.jacobian[b], LANES * tables.poses[b]
-    for k in range(n):
+    """Columns, inertias and forces of the links of one block; Jacobians, poses and motions."""
+    blocks, constants, leaves = tables.blocks, tables.constants, work.leaves
+    gravity, origin = broadcast_vector(tables.gravity), vector_at(tables.bases[b], 0)
+    axes, p, twist, rate_of_twist = base_frame(gravity)
+    first, row = blocks.first_joint[b], blocks.first_link[b] + blocks.ancestors[b]
+    if blocks.ancestors[b] > 0:
+        start = gather_start(tables, work, b)
+        axes, p, twist, rate_of_twist = start.axes, start.origin, start.twist, start.rate
+    jacobian, pose = LANES * blocks.jacobian[b], LANES * blocks.poses[b]
+    motion = LANES * blocks.motions[b]
+    for k in range(blocks.joints[b]):
         lanes = LANES * (first + k)
         joint = open_joint(constants, JOINT_LANES * (first + k))
-        link, rate = open_link(links, LINK_LANES * k), load_pack(work.rate, lanes)
+        link, rate = open_link(work.links, LINK_LANES * (row + k)), load_pack(work.rate, lanes)
         axes, p = next_frame(
             joint, axes, p, load_pack(work.angle, lanes), load_pack(work.sine, lanes),
             load_pack(work.cosine, lanes),
@@ -121,52 +142,114 @@ def outwards(tables, work, b):
         if tables.wanted.poses:
             placed = open_pose(leaves, pose + POSE_LANES * k)
             placed.axes, placed.origin = compose(axes, joint.link_axes), add(p, origin)
-    last = open_joint(constants, JOINT_LANES * (first + n - 1))
-    body = open_body(leaves, LANES * tables.term_count[b])
-    write_motion(body, compose(axes, last.link_axes), p, origin, twist, rate_of_twist, gravity)
+        if tables.carries[first + k] >= 0:
+            at = motion + BODY_LANES * tables.carries[first + k]
+            write_motion(
+                open_body(leaves, at), compose(axes, joint.link_axes), p, origin, twist,
+                rate_of_twist, gravity,
+            )  # fmt: skip
+        if tables.divides[first + k]:
+            frame = open_frame(work.frames, FRAME_LANES * (row + k))
+            frame.axes, frame.origin, frame.twist, frame.rate = axes, p, twist, rate_of_twist
+
+
+@inlined
+def base_frame(gravity):
+    """Axes, origin, twist and rate of the twist with which branches begin at the base."""
+    one, none, zero = broadcast(1.0), broadcast(0.0), zero_vector()
+    axes = (one, none, none), (none, one, none), (none, none, one)
+    return axes, zero, (zero, zero), (sub(zero, gravity), zero)
+
+
+@inlined
+def gather_start(tables, work, b):
+    """The frames with which the lanes of a block begin; copies the columns of its ancestors too."""
+    blocks, size = tables.blocks, LINK_LANES // LANES
+    copy_lanes(work.frames, FRAME_LANES // LANES, blocks.parents[b], work.start, 0)
+    for k in range(blocks.ancestors[b]):
+        places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
+        copy_lanes(work.links, size, places, work.links, LINK_LANES * at)
+    return open_frame(work.start, 0)
+
+
+@inlined
+def copy_lanes(scratch, size, places, out, at):
+    """Copy a row of ``size`` packs, each of whose lanes is in another place of the scratch."""
+    at0, at1, at2, at3 = (
+        place_in(size, places[0]), place_in(size, places[1]), place_in(size, places[2]),
+        place_in(size, places[3]),
+    )  # fmt: skip
+    for k in range(0, LANES * size, LANES):
+        store_pack(out, at + k, gather_pack(scratch, at0 + k, at1 + k, at2 + k, at3 + k))
+
+
+@inlined
+def place_in(size, place):
+    """The first number of a lane in scratch with ``size`` packs a row."""
+    return LANES * size * (place // LANES) + place % LANES
 
 
 @kernel
 def inwards(tables, work, b):
-    """Bias, inertia and energy of the arms of one block; gravity torques if wanted."""
-    constants, links, leaves = tables.constants, work.links, work.leaves
+    """Bias, inertia and energy of one block; gravity torques if wanted."""
+    blocks, constants, links, leaves = tables.blocks, tables.constants, work.links, work.leaves
     gravity = broadcast_vector(tables.gravity)
-    n, first, zero = tables.block_joints[b], tables.first_joint[b], zero_vector()
+    n, first, zero = blocks.joints[b], blocks.first_joint[b], zero_vector()
+    before, row = blocks.ancestors[b], blocks.first_link[b]
+    inertia, bias, gravity_torque = blocks.inertia[b], blocks.bias[b], blocks.gravity_torque[b]
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
-        link = open_link(links, LINK_LANES * j)
+        link = open_link(links, LINK_LANES * (row + before + j))
         mass, moment = mass + link.mass, add(moment, link.moment)
         second, force = add_symmetric(second, link.second), add_pair(force, link.force)
         column = link.column
-        store_pack(leaves, LANES * (tables.bias[b] + j), power(column, force))
+        store_pack(leaves, LANES * (bias + j), power(column, force))
         # momentum of the composite body for a unit rate of the joint
         momentum = times_inertia(mass, moment, second, column)
-        row = LANES * n * j
-        for k in range(j):
-            before = open_link(links, LINK_LANES * k)
-            store_pack(leaves, row + LANES * k, power(before.column, momentum))
+        at = LANES * (inertia + (before + n) * j)
+        for k in range(before + j):
+            ancestor = open_link(links, LINK_LANES * (row + k))
+            store_pack(leaves, at + LANES * k, power(ancestor.column, momentum))
         drive = open_joint(constants, JOINT_LANES * (first + j)).armature
-        store_pack(leaves, row + LANES * j, power(column, momentum) + drive)
+        store_pack(leaves, at + LANES * (before + j), power(column, momentum) + drive)
         if tables.wanted.gravity_torque:
             weight = scale(mass, gravity), cross(moment, gravity)
             held = broadcast(0.0) - power(column, weight)
-            store_pack(leaves, LANES * (tables.gravity_torque[b] + j), held)
-    moment = add_scaled(moment, mass, vector_at(tables.bases[b], 0))
-    energy = broadcast(0.0) - dot(moment, gravity)
-    store_pack(leaves, LANES * tables.energy[b], energy)
+            store_pack(leaves, LANES * (gravity_torque + j), held)
+    if before > 0:
+        sums = open_link(work.link_sum, 0)
+        sums.mass, sums.moment, sums.second, sums.force = mass, moment, second, force
+        add_to_parents(blocks, b, work.link_sum, links, LINK_SUMS, LINK_LANES // LANES)
+    else:
+        moment = add_scaled(moment, mass, vector_at(tables.bases[b], 0))
+        energy = broadcast(0.0) - dot(moment, gravity)
+        store_pack(leaves, LANES * blocks.energy[b], energy)
 
 
 @inlined
-def transpose_terms(tables, work, b):
-    """Copy the terms of each arm of a block from the lanes to the arm's own array."""
-    width, arms = tables.term_count[b], tables.arms[b]
-    written = width if tables.wanted.poses else tables.poses[b]
-    transpose_to_arms(work.leaves, 0, written, work.terms, tables.first_term[b], width)
+def add_to_parents(blocks, b, sums, scratch, first, size):
+    """Add what a block sums up, from number ``first`` of a row on, to the rows of its parents.
+
+    The last lane is the first: so the order of sums does not depend on how branches share blocks.
+    """
+    for lane in range(blocks.branches[b] - 1, -1, -1):
+        at = place_in(size, blocks.parents[b, lane])
+        for k in range(LANES * first, LANES * size, LANES):
+            scratch[at + k] += sums[k + lane]
+
+
+@inlined
+def transpose_terms(tables, work, g):
+    """Copy the terms of each arm of a group of plain arms from the lanes to the arm's own array."""
+    groups, b = tables.groups, tables.groups.first_block[g]
+    width, rows = groups.term_count[g], groups.bodies[g]
+    written = width if tables.wanted.poses else tables.blocks.poses[b]
+    transpose_to_arms(work.leaves, 0, written, work.terms, groups.first_term[g], width)
     for k in range(0, BODY_WIDTH, LANES):
         transpose_four(
-            work.leaves, LANES * (width + k), work.bodies, BODY_WIDTH * arms[0] + k,
-            BODY_WIDTH * arms[1] + k, BODY_WIDTH * arms[2] + k, BODY_WIDTH * arms[3] + k,
+            work.leaves, LANES * (width + k), work.bodies, BODY_WIDTH * rows[0] + k,
+            BODY_WIDTH * rows[1] + k, BODY_WIDTH * rows[2] + k, BODY_WIDTH * rows[3] + k,
         )  # fmt: skip
 
 
@@ -178,6 +261,29 @@ def transpose_to_arms(leaves, at, count, out, first, width):
             leaves, at + LANES * k, out, first + k, first + width + k, first + 2 * width + k,
             first + 3 * width + k,
         )  # fmt: skip
+
+
+@inlined
+def move_terms(tables, work, g):
+    """Move the leaves of a group of trees to the arms' terms, and to the bodies."""
+    move(work.leaves, tables.groups.terms, g, work.terms)
+    if tables.wanted.poses:
+        move(work.leaves, tables.groups.poses, g, work.terms)
+    motions = tables.groups.motions
+    for m in range(motions.first[g], motions.first[g + 1]):
+        source, target = motions.sources[m], motions.targets[m]
+        for k in range(BODY_WIDTH):
+            work.bodies[target + k] = work.leaves[source + LANES * k]
+
+
+@kernel
+def move(leaves, moves, g, out):
+    """Move numbers of the leaves of a group."""
+    for k in range(moves.first_quad[g], moves.first_quad[g + 1]):
+        to = moves.places[k]
+        transpose_four(leaves, moves.quads[k], out, to[0], to[1], to[2], to[3])
+    for k in range(moves.first_single[g], moves.first_single[g + 1]):
+        out[moves.targets[k]] = leaves[moves.sources[k]]
 
 
 # --- vectorised sine and cosine ------------------------------------------------------------------

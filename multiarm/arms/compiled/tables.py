@@ -1,31 +1,48 @@
-"""Constants and workspace of compiled arms, chains of :mod:`multiarm.arms.chain`.
+"""Constants and workspace of compiled arms, trees of :mod:`multiarm.arms.chain`.
 
-Arms are batched by four, one in each lane of a SIMD pack.  A *block* is as long as the longest of
-its arms; shorter ones are padded at the base with joints without motion and mass.  A lane without
-an arm repeats the first arm of its block, and writes the same numbers to the same place.
+Branches are batched by four (:mod:`multiarm.arms.compiled.branches`), one in each lane of a SIMD
+pack.  A *block* is as long as the longest of its branches; shorter ones are padded at their
+beginning with joints without motion and mass.  A lane without a branch repeats the first branch of
+its block; what it computes is not used.
+
+Results of a block stand in *leaves*, lanes each.  Those of a block of plain arms are arranged as an
+arm's terms are, and are transposed to them; from other groups every number goes where it belongs by
+a list of *moves*.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
-from multiarm.arms.terms import POSE_WIDTH, ArmStructure, LinkPose
-from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.arms.chain import ChainJoint
+from multiarm.arms.terms import LinkPose
+from multiarm.contacts.motion import BodyMotion
 from multiarm.jit.kernels import inlined, kernel
-from multiarm.jit.rows import Axes, Number, Pair, Symmetric, Vector, fields_of, lanes_of, width
-from multiarm.jit.simd import LANES
-from multiarm.jit.structs import Flag, Floats1, Floats2, Ints1, Ints2, Numbers, view
+from multiarm.jit.rows import Axes, Number, Pair, Symmetric, Vector, lanes_of, offset_of, width
+from multiarm.jit.simd import LANES, aligned_zeros
+from multiarm.jit.structs import (
+    Flag,
+    Floats1,
+    Floats2,
+    Int,
+    Ints1,
+    Ints2,
+    Numbers,
+    count_entries,
+    view,
+)
 
-# Arms with more joints are left to Pinocchio.
+# Arms with more joints between base and a link are left to Pinocchio.
 MOST_JOINTS = 16
 
 
 class LinkSweep(NamedTuple):
-    """Results of the outward sweep for a joint and its link, about the base."""
+    """Results of the outward sweep for a joint and its link, about the base.
+
+    From ``mass`` on, the sums over what branches from the link are added inwards.
+    """
 
     column: Pair
     mass: Number
@@ -35,11 +52,20 @@ class LinkSweep(NamedTuple):
 
 
 class TurnSweep(NamedTuple):
-    """Results of the outward sweep for Coriolis forces."""
+    """Results of the outward sweep for Coriolis forces; from ``momentum`` on as in LinkSweep."""
 
     column_rate: Pair
     momentum: Vector  # linear
     turning: Axes  # the matrix G
+
+
+class FrameSweep(NamedTuple):
+    """Where the outward sweep stands: frame and motion of a joint, about the base."""
+
+    axes: Axes
+    origin: Vector
+    twist: Pair
+    rate: Pair  # of the twist
 
 
 class JacobianColumn(NamedTuple):
@@ -49,12 +75,15 @@ class JacobianColumn(NamedTuple):
 
 
 JACOBIAN_WIDTH = width(JacobianColumn)
-JOINT_LANES, LINK_LANES, TURN_LANES, JACOBIAN_LANES, POSE_LANES = (
-    LANES * width(kind) for kind in (ChainJoint, LinkSweep, TurnSweep, JacobianColumn, LinkPose)
+JOINT_LANES, LINK_LANES, TURN_LANES, FRAME_LANES, JACOBIAN_LANES, POSE_LANES, BODY_LANES = (
+    LANES * width(kind)
+    for kind in (ChainJoint, LinkSweep, TurnSweep, FrameSweep, JacobianColumn, LinkPose, BodyMotion)
 )
+# Where the numbers begin that are summed inwards.
+LINK_SUMS, TURN_SUMS = offset_of(LinkSweep, "mass"), offset_of(TurnSweep, "momentum")
 open_joint, open_link, open_turn = lanes_of(ChainJoint), lanes_of(LinkSweep), lanes_of(TurnSweep)
-open_jacobian, open_pose, open_body = (
-    lanes_of(JacobianColumn), lanes_of(LinkPose), lanes_of(BodyMotion)
+open_frame, open_jacobian, open_pose, open_body = (
+    lanes_of(FrameSweep), lanes_of(JacobianColumn), lanes_of(LinkPose), lanes_of(BodyMotion)
 )  # fmt: skip
 
 
@@ -65,23 +94,140 @@ class Wanted(Numbers):
     poses: Flag  # of all links
 
 
+class TermOffsets(NamedTuple):
+    """Where the terms of an arm are among those of all, in numbers; a row of int64.
+
+    Of its inertia (n, n), the lower triangle by rows; Jacobian (n, 6), a row a joint; bias and
+    gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (n, 12).
+    """
+
+    joints: Number
+    inertia: Number
+    stride: Number  # of the inertia
+    jacobian: Number
+    bias: Number
+    gravity_torque: Number
+    energy: Number
+    energies: Number
+    poses: Number
+
+
+class Moves(NamedTuple):
+    """Where the leaves of each group go; lanes without a place go to the last four numbers.
+
+    quads, places : int64 (m,), (m, 4)
+        Four packs that follow each other in the leaves, and a place for each lane's four numbers.
+    sources, targets : int64 (k,)
+        Single numbers of the leaves, and their places.
+    first_quad, first_single : int64 (g + 1,)
+        The first ones of each group.
+    """
+
+    quads: Ints1
+    places: Ints2
+    sources: Ints1
+    targets: Ints1
+    first_quad: Ints1
+    first_single: Ints1
+
+
+class Motions(NamedTuple):
+    """Bodies of each group: the first numbers of a lane of leaves, and of a row of the bodies.
+
+    first : int64 (g + 1,)
+        The first one of each group.
+    """
+
+    sources: Ints1
+    targets: Ints1
+    first: Ints1
+
+
+class Blocks(NamedTuple):
+    """The ``b`` blocks; a *place* is a lane of a row of scratch, four times the row plus the lane.
+
+    joints, first_joint : int64 (b,)
+        Number of joints; the first one among those of all blocks.
+    ancestors, lineage, first_ancestor : int64 (b,), (a, 4), (b,)
+        How many joints are before the longest way of a lane's branch; the places of each lane's,
+        from the base on, and the block's first one.  Shorter ways repeat their first one.
+    parents : int64 (b, 4)
+        Place of the link at which each lane's branch begins, where that is not the base.
+    branches : int64 (b,)
+        Number of lanes that have one.
+    first_link : int64 (b,)
+        Its first row of scratch; copies of the ancestors are before the joints.
+    inertia, jacobian, bias, gravity_torque, energy, poses, motions : int64 (b,)
+        Offsets in a lane's leaves: with n joints and a ancestors, inertia (n, a + n), motions of
+        the links that take part in connections; the rest as in :class:`TermOffsets`.
+    """
+
+    joints: Ints1
+    first_joint: Ints1
+    ancestors: Ints1
+    lineage: Ints2
+    first_ancestor: Ints1
+    parents: Ints2
+    branches: Ints1
+    first_link: Ints1
+    inertia: Ints1
+    jacobian: Ints1
+    bias: Ints1
+    gravity_torque: Ints1
+    energy: Ints1
+    poses: Ints1
+    motions: Ints1
+
+
+class Groups(NamedTuple):
+    """The ``g`` groups.
+
+    first_block : int64 (g + 1,)
+        Of each group among all blocks.
+    plain : int64 (g,)
+        Whether it is a block of plain arms, which has no moves.
+    first_term, term_count : int64 (g,)
+        Of plain arms: offset of the terms of the first one; their number, the same for each.
+    bodies : int64 (g, 4)
+        Of plain arms: rows of the bodies.
+    terms, poses, coriolis : Moves
+        To the terms; those of poses; to the matrices of Coriolis forces.
+    motions : Motions
+        To the bodies.
+    """
+
+    first_block: Ints1
+    plain: Ints1
+    first_term: Ints1
+    term_count: Ints1
+    bodies: Ints2
+    terms: Moves
+    poses: Moves
+    coriolis: Moves
+    motions: Motions
+
+
+class Sizes(NamedTuple):
+    """Rows of scratch and leaves of the largest group; terms of all arms and four numbers more."""
+
+    rows: Int
+    leaves: Int
+    terms: Int
+
+
 class ArmTables(NamedTuple):
     """Constants of compiled arms; ``b`` blocks, ``J`` joints in all of them, four lanes each.
 
-    block_joints, first_joint : int64 (b,)
-        Number of joints of each block; its first joint among those of all blocks.
-    arms : int64 (b, 4)
-        Numbers in the scene of a block's arms.
-    first_term, term_count : int64 (b,)
-        Offset of the terms of a block's first arm; their number, the same for each of its arms.
-    jacobian, bias, gravity_torque, energy, poses : int64 (b,)
-        Offsets in an arm's terms, which are its inertia (n, n), of which the lower triangle by rows
-        is written; Jacobian (n, 6), a row a joint; bias (n,), gravity torque (n,); potential energy
-        (1,); poses (n, 12).
+    arms : int64 (arms, 9)
+        The :class:`TermOffsets` of each arm.
+    energies : int64 (e,)
+        Offsets of all potential energies.
     sources : int64 (4 J,)
         Each lane's joint in the stacked vectors.
-    joints, energies : int64 (arms,)
-        Number of joints of each arm; offset of its potential energy in all terms.
+    divides : int64 (J,)
+        Whether branches begin at a joint's link.
+    carries : int64 (J,)
+        Number of the joint's link among those of its block that take part in connections, or -1.
     turns : (4 J,)
         1 for revolute joints, else 0.
     constants : (34 * 4 J,)
@@ -89,26 +235,22 @@ class ArmTables(NamedTuple):
     bases : (b, 12)
         Positions of the arms' first joints in the world [m], lanes each.
     gravity : (3,)
+    sizes : Sizes
     wanted : Wanted
     """
 
-    block_joints: Ints1
-    first_joint: Ints1
+    blocks: Blocks
+    groups: Groups
     arms: Ints2
-    first_term: Ints1
-    term_count: Ints1
-    jacobian: Ints1
-    bias: Ints1
-    gravity_torque: Ints1
-    energy: Ints1
-    poses: Ints1
-    sources: Ints1
-    joints: Ints1
     energies: Ints1
+    sources: Ints1
+    divides: Ints1
+    carries: Ints1
     turns: Floats1
     constants: Floats1
     bases: Floats2
     gravity: Floats1
+    sizes: Sizes
     wanted: Wanted
 
 
@@ -117,15 +259,20 @@ class ArmWork(NamedTuple):
 
     angles, rates : (joints,)
         Positions and velocities of the system's joints.
-    bodies : (24 arms,)
-        Motion of the links that carry the tips, see :class:`multiarm.contacts.motion.BodyMotion`.
+    bodies : (24 B,)
+        Motion of the links that take part in connections, see
+        :class:`multiarm.contacts.motion.BodyMotion`.
     angle, rate, sine, cosine : (4 J,)
         Of every lane's joint.
-    links : (22 * 4 n,), link_turns : (18 * 4 n,), leaves : (4 w,)
-        Scratch of one block: every :class:`LinkSweep` and :class:`TurnSweep`; its arms' terms and
-        bodies, lanes each.
-    terms, coriolis : (4 w b,)
-        Every arm's terms, see :class:`ArmTables`; matrices of Coriolis forces by columns, at the
+    links, link_turns, frames : (4 w r,)
+        Scratch of a group, rows of w lanes: every :class:`LinkSweep`, :class:`TurnSweep` and, where
+        branches begin, :class:`FrameSweep`.
+    start, link_sum, turn_sum : (4 w,)
+        Scratch of a block: where its lanes begin; what they add to the links where they begin.
+    leaves : (4 l,)
+        Scratch of a group: its blocks' terms and bodies, lanes each.
+    terms, coriolis : (t,)
+        Every arm's terms, see :class:`TermOffsets`; matrices of Coriolis forces by columns, at the
         offsets of the inertias.
     """
 
@@ -138,12 +285,16 @@ class ArmWork(NamedTuple):
     cosine: Floats1
     links: Floats1
     link_turns: Floats1
+    frames: Floats1
+    start: Floats1
+    link_sum: Floats1
+    turn_sum: Floats1
     leaves: Floats1
     terms: Floats1
     coriolis: Floats1
 
 
-_open_tables, _open_work = view(ArmTables), view(ArmWork, len(ArmTables._fields))
+_open_tables, _open_work = view(ArmTables), view(ArmWork, count_entries(ArmTables))
 
 
 @inlined
@@ -162,59 +313,9 @@ def energy_of_arms(struct):
     return energy
 
 
-def make_tables(
-    structures: Sequence[ArmStructure],
-    places: Sequence[int],
-    first_joints: Sequence[int],
-    gravity: np.ndarray,
-) -> ArmTables:
-    """Tables of compiled arms.
-
-    Parameters
-    ----------
-    structures : sequence of ArmStructure
-    places : sequence of int
-        Each arm's number among all arms of the scene.
-    first_joints : sequence of int
-        Its first joint in the stacked vectors.
-    gravity : ndarray, shape (3,)
-    """
-    in_blocks = _blocks([arm.masses.size for arm in structures])
-    joints = np.array([structures[arms[0]].masses.size for arms in in_blocks])
-    offsets = _term_offsets(joints)
-    first_term = LANES * np.cumsum([0, *offsets["term_count"][:-1]])
-    sources, constants, bases = [], [], []
-    energies = np.zeros(len(structures), dtype=np.int64)
-    for b, arms in enumerate(in_blocks):
-        for lane, arm in enumerate(arms[: len(set(arms))]):
-            energies[arm] = first_term[b] + lane * offsets["term_count"][b] + offsets["energy"][b]
-        padded = [_padded(structures[arm], joints[b]) for arm in arms]
-        constants.append(np.stack(padded, axis=-1))
-        bases.append(np.stack([structures[arm].translations[0] for arm in arms], axis=-1).ravel())
-        sizes = [structures[arm].masses.size for arm in arms]
-        sources.append(_sources(sizes, [first_joints[arm] for arm in arms]))
-    every = np.concatenate(constants)  # (J, 34, 4)
-    turns = fields_of(ChainJoint, every.swapaxes(1, 2)).turns
-    return ArmTables(
-        block_joints=joints,
-        first_joint=np.cumsum([0, *joints[:-1]]),
-        arms=np.array([[places[arm] for arm in arms] for arms in in_blocks]),
-        first_term=first_term,
-        **offsets,
-        sources=np.concatenate(sources),
-        joints=np.array([arm.masses.size for arm in structures]),
-        energies=energies,
-        turns=np.ascontiguousarray(turns).ravel(),
-        constants=every.ravel(),
-        bases=np.array(bases),
-        gravity=np.array(gravity, dtype=float),
-        wanted=Wanted(),
-    )
-
-
 def make_terms(tables: ArmTables) -> np.ndarray:
     """Allocate one number for every term of all arms."""
-    return np.zeros(LANES * int(np.sum(tables.term_count)))
+    return aligned_zeros(tables.sizes.terms)
 
 
 def make_work(
@@ -222,8 +323,7 @@ def make_work(
     terms: np.ndarray, coriolis: np.ndarray,
 ) -> ArmWork:  # fmt: skip
     """Allocate the workspace; the other arrays are given."""
-    longest, terms_of_arm = int(np.max(tables.block_joints)), int(np.max(tables.term_count))
-    lanes = np.zeros((4, tables.sources.size))
+    lanes, rows = [aligned_zeros(tables.sources.size) for _ in range(4)], tables.sizes.rows
     return ArmWork(
         angles=angles,
         rates=rates,
@@ -232,46 +332,13 @@ def make_work(
         rate=lanes[1],
         sine=lanes[2],
         cosine=lanes[3],
-        links=np.zeros(LINK_LANES * longest),
-        link_turns=np.zeros(TURN_LANES * longest),
-        leaves=np.zeros(LANES * (terms_of_arm + BODY_WIDTH)),
+        links=aligned_zeros(LINK_LANES * rows),
+        link_turns=aligned_zeros(TURN_LANES * rows),
+        frames=aligned_zeros(FRAME_LANES * rows),
+        start=aligned_zeros(FRAME_LANES),
+        link_sum=aligned_zeros(LINK_LANES),
+        turn_sum=aligned_zeros(TURN_LANES),
+        leaves=aligned_zeros(LANES * tables.sizes.leaves),
         terms=terms,
         coriolis=coriolis,
     )
-
-
-def _term_offsets(n: np.ndarray) -> dict[str, np.ndarray]:
-    """Offsets in the terms of arms with so many joints, and their number."""
-    ends = np.cumsum([n * n, JACOBIAN_WIDTH * n, n, n, np.ones_like(n)], axis=0)
-    poses = _rounded_up(ends[4])
-    return {
-        "jacobian": ends[0],
-        "bias": ends[1],
-        "gravity_torque": ends[2],
-        "energy": ends[3],
-        "poses": poses,
-        "term_count": poses + _rounded_up(POSE_WIDTH * n),
-    }
-
-
-def _rounded_up(count: np.ndarray) -> np.ndarray:
-    """The next multiple of the number of lanes."""
-    return -(-count // LANES) * LANES
-
-
-def _blocks(joints: Sequence[int]) -> list[list[int]]:
-    """Four arms each, those with most joints first; the first of a block fills its free lanes."""
-    order = sorted(range(len(joints)), key=lambda arm: -joints[arm])
-    blocks = [order[k : k + LANES] for k in range(0, len(order), LANES)]
-    return [block + [block[0]] * (LANES - len(block)) for block in blocks]
-
-
-def _sources(joints: Sequence[int], first_joints: Sequence[int]) -> np.ndarray:
-    """Joints of a block's lanes in the stacked vectors; padding reads an arm's first joint."""
-    within_arm = np.arange(joints[0])[:, None] - (joints[0] - np.array(joints))
-    return (np.maximum(within_arm, 0) + np.array(first_joints)).ravel().astype(np.int64)
-
-
-def _padded(arm: ArmStructure, joints: int) -> np.ndarray:
-    """Constants of one lane, shape (joints, 34), padded at the base."""
-    return np.vstack([joints_at_rest(joints - arm.masses.size), chain_joints(arm)])

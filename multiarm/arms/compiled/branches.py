@@ -1,0 +1,97 @@
+"""Trees as branches, and branches in lanes.
+
+A *branch* is a run of joints along which a tree does not divide.  Branches that begin equally far
+from the base, counted in branches, are independent of each other; so four of them, of one robot or
+of several, are computed at once, one in each lane of a SIMD pack.  These four are a *block*.  A
+*group* is what is swept outwards as a whole before it is swept inwards: the branches of up to four
+robots, or one block of *plain arms*: chains whose last link is the only one that takes part in
+connections.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.terms import ArmStructure
+from multiarm.jit.simd import LANES
+
+
+class Branch(NamedTuple):
+    """Joints of an arm, counted from 0, each the only one after that before it."""
+
+    arm: int
+    joints: tuple[int, ...]
+    ancestors: tuple[int, ...]  # the joints between base and branch
+    level: int  # number of branches between base and branch
+
+
+class Group(NamedTuple):
+    """Blocks of branches, those that others begin at first."""
+
+    blocks: tuple[tuple[Branch, ...], ...]
+    plain: bool  # whether its only block is one of plain arms
+
+
+def branches_of(arm: int, parents: np.ndarray) -> list[Branch]:
+    """The branches of an arm, each after that from which it begins."""
+    children = np.bincount(parents[parents >= 0], minlength=parents.size)
+    branches: list[Branch] = []
+    of_joint: list[int] = []  # the branch of each joint
+    for joint, parent in enumerate(parents.tolist()):
+        if parent >= 0 and children[parent] == 1:
+            number = of_joint[parent]
+            branch = branches[number]
+            branches[number] = branch._replace(joints=(*branch.joints, joint))
+        else:
+            before = branches[of_joint[parent]] if parent >= 0 else Branch(arm, (), (), -1)
+            ancestors = (*before.ancestors, *before.joints)
+            number = len(branches)
+            branches.append(Branch(arm, (joint,), ancestors, before.level + 1))
+        of_joint.append(number)
+    return branches
+
+
+def most_in_a_row(parents: np.ndarray) -> int:
+    """Number of joints on the longest way from the base to a link."""
+    depth: list[int] = []
+    for parent in parents.tolist():
+        depth.append(1 + (depth[parent] if parent >= 0 else 0))
+    return max(depth)
+
+
+def make_groups(
+    structures: Sequence[ArmStructure], carriers: Sequence[Sequence[int]]
+) -> list[Group]:
+    """Groups of all arms, plain ones first.
+
+    ``carriers`` are each arm's joints, counted from 0, whose links take part in connections.
+    """
+    branches = [branches_of(k, arm.parents) for k, arm in enumerate(structures)]
+    joints = [arm.parents.size for arm in structures]
+    is_plain = [
+        len(branches[k]) == 1 and list(carriers[k]) == [joints[k] - 1] for k in range(len(joints))
+    ]
+    plain = sorted(np.flatnonzero(is_plain).tolist(), key=lambda arm: -joints[arm])
+    groups = [
+        Group((tuple(branches[arm][0] for arm in four),), plain=True) for four in _fours(plain)
+    ]
+    # those alike side by side, so that their branches share blocks
+    trees = sorted(
+        np.flatnonzero(np.logical_not(is_plain)).tolist(),
+        key=lambda arm: (-joints[arm], structures[arm].parents.tolist()),
+    )
+    for four in _fours(trees):
+        together = [branch for arm in four for branch in branches[arm]]
+        together.sort(key=lambda branch: (branch.level, -len(branch.joints)))
+        levels = range(together[-1].level + 1)
+        by_level = [[branch for branch in together if branch.level == level] for level in levels]
+        blocks = [tuple(block) for level in by_level for block in _fours(level)]
+        groups.append(Group(tuple(blocks), plain=False))
+    return groups
+
+
+def _fours(items: Sequence) -> list:
+    return [items[k : k + LANES] for k in range(0, len(items), LANES)]

@@ -1,0 +1,484 @@
+"""Tables of compiled arms: in which lanes, rows of scratch and places their branches and terms are.
+
+What the tables are is said in :mod:`multiarm.arms.compiled.tables`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
+from multiarm.arms.compiled.branches import Branch, Group, make_groups
+from multiarm.arms.compiled.tables import (
+    JACOBIAN_WIDTH,
+    ArmTables,
+    Blocks,
+    Groups,
+    Motions,
+    Moves,
+    Sizes,
+    TermOffsets,
+    Wanted,
+)
+from multiarm.arms.terms import POSE_WIDTH, ArmStructure
+from multiarm.contacts.motion import BODY_WIDTH
+from multiarm.jit.rows import fields_of
+from multiarm.jit.simd import LANES, aligned_zeros
+
+Pairs = list[tuple[int, int]]
+
+
+class BodyLink(NamedTuple):
+    """A link whose motion is written to a row of the bodies.
+
+    arm : int
+        Number among the compiled arms.
+    joint : int
+        The joint that moves it, counted from 0.
+    row : int
+    """
+
+    arm: int
+    joint: int
+    row: int
+
+
+class PlacedBlock(NamedTuple):
+    """Up to four branches, and where they are in scratch and leaves of their group."""
+
+    branches: tuple[Branch, ...]
+    joints: int  # of the longest branch
+    ancestors: int  # of the branch that has most
+    first_link: int
+    leaves: TermOffsets
+    motions: int
+    end: int  # of its leaves
+    carries: tuple[int, ...]  # joints of the block whose links take part in connections
+
+    @property
+    def columns(self) -> int:
+        """Columns of its part of the inertia."""
+        return self.ancestors + self.joints
+
+    @property
+    def rows(self) -> int:
+        """Rows of scratch up to its end."""
+        return self.first_link + self.columns
+
+    def padding(self, branch: Branch) -> int:
+        """Joints at rest before those of a branch."""
+        return self.joints - len(branch.joints)
+
+    def row(self, branch: Branch, k: int) -> int:
+        """Row of scratch of joint number ``k`` of a branch."""
+        return self.first_link + self.ancestors + self.padding(branch) + k
+
+    def filled(self) -> tuple[Branch, ...]:
+        """The branch of each lane: free lanes repeat the first one."""
+        return self.branches + self.branches[:1] * (LANES - len(self.branches))
+
+    def columns_of(self, branch: Branch) -> dict[int, int]:
+        """Column of each joint of a branch and each ancestor."""
+        first = self.ancestors - len(branch.ancestors)
+        before = {joint: first + k for k, joint in enumerate(branch.ancestors)}
+        first = self.ancestors + self.padding(branch)
+        return before | {joint: first + k for k, joint in enumerate(branch.joints)}
+
+
+class PlacedGroup(NamedTuple):
+    """The blocks of a group."""
+
+    plain: bool
+    blocks: tuple[PlacedBlock, ...]
+
+    def places(self) -> dict[tuple[int, int], int]:
+        """Place in scratch of each arm's joints: four times the row plus the lane."""
+        return {
+            (branch.arm, joint): LANES * block.row(branch, k) + lane
+            for block in self.blocks
+            for lane, branch in enumerate(block.branches)
+            for k, joint in enumerate(branch.joints)
+        }
+
+
+def make_tables(
+    structures: Sequence[ArmStructure],
+    first_joints: Sequence[int],
+    links: Sequence[BodyLink],
+    gravity: np.ndarray,
+) -> ArmTables:
+    """Tables of compiled arms.
+
+    Parameters
+    ----------
+    structures : sequence of ArmStructure
+    first_joints : sequence of int
+        The first joint of each arm in the stacked vectors.
+    links : sequence of BodyLink
+    gravity : ndarray, shape (3,)
+    """
+    carriers = [[link.joint for link in links if link.arm == k] for k in range(len(structures))]
+    groups = [_placed(group, carriers) for group in make_groups(structures, carriers)]
+    blocks = [block for group in groups for block in group.blocks]
+    first_terms, terms = _first_terms(groups)
+    arms = _arm_offsets(groups, first_terms)
+    rows = max(group.blocks[-1].rows for group in groups)
+    constants = np.concatenate([_constants(block, structures) for block in blocks])  # (J, 34, 4)
+    turns = fields_of(ChainJoint, constants.swapaxes(1, 2)).turns
+    bases = [
+        np.stack([structures[branch.arm].translations[0] for branch in block.filled()], axis=-1)
+        for block in blocks
+    ]
+    return ArmTables(
+        blocks=_block_table(groups),
+        groups=_group_table(groups, first_terms, terms, arms, links),
+        arms=np.array(arms, dtype=np.int64),
+        energies=np.concatenate([arm.energy + np.arange(arm.energies) for arm in arms]),
+        sources=_integers(np.concatenate([_sources(block, first_joints) for block in blocks])),
+        divides=_integers([flag for group in groups for flag in _divides(group)]),
+        carries=_integers([slot for block in blocks for slot in _slots(block)]),
+        turns=np.ascontiguousarray(turns).ravel(),
+        constants=_aligned(constants),
+        bases=np.array(bases).reshape(len(blocks), -1),
+        gravity=np.array(gravity, dtype=float),
+        sizes=Sizes(rows, max(group.blocks[-1].end for group in groups), terms),
+        wanted=Wanted(),
+    )
+
+
+# --- places ---------------------------------------------------------------------------------------
+
+
+def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
+    """The blocks of a group, one after the other in scratch and leaves."""
+    blocks: list[PlacedBlock] = []
+    for branches in group.blocks:
+        joints = max(len(branch.joints) for branch in branches)
+        ancestors = max(len(branch.ancestors) for branch in branches)
+        leaves, motions = _offsets(blocks[-1].end if blocks else 0, joints, ancestors + joints)
+        block = PlacedBlock(
+            branches, joints, ancestors, blocks[-1].rows if blocks else 0, leaves, motions, 0, ()
+        )
+        carries = {
+            block.padding(branch) + k
+            for branch in branches
+            for k, joint in enumerate(branch.joints)
+            if joint in carriers[branch.arm]
+        }
+        # matrices of Coriolis forces begin at the inertia and need more room
+        end = max(motions + BODY_WIDTH * len(carries), leaves.inertia + block.columns**2)
+        blocks.append(block._replace(carries=tuple(sorted(carries)), end=_rounded_up(end)))
+    return PlacedGroup(group.plain, tuple(blocks))
+
+
+def _offsets(at: int, joints: int, columns: int, energies: int = 1) -> tuple[TermOffsets, int]:
+    """Offsets of the terms of so many joints from one place on, and their end."""
+    jacobian = at + joints * columns
+    bias = jacobian + JACOBIAN_WIDTH * joints
+    energy = bias + 2 * joints
+    poses = _rounded_up(energy + energies)
+    terms = TermOffsets(joints, at, columns, jacobian, bias, bias + joints, energy, energies, poses)
+    return terms, poses + _rounded_up(POSE_WIDTH * joints)
+
+
+def _rounded_up(count: int) -> int:
+    """The next multiple of the number of lanes."""
+    return -(-count // LANES) * LANES
+
+
+def _first_terms(groups: Sequence[PlacedGroup]) -> tuple[dict[int, int], int]:
+    """Offset of the terms of each arm, and the number of all terms."""
+    first: dict[int, int] = {}
+    end = 0
+    for group in groups:
+        if group.plain:
+            (block,) = group.blocks
+            for lane, branch in enumerate(block.branches):
+                first[branch.arm] = end + lane * block.motions
+            end += LANES * block.motions
+            continue
+        for arm in dict.fromkeys(x.arm for block in group.blocks for x in block.branches):
+            first[arm] = end
+            _, end = _offsets(end, *_sizes_of(group, arm))
+    return first, end + LANES  # for what has no place
+
+
+def _sizes_of(group: PlacedGroup, arm: int) -> tuple[int, int, int]:
+    """Joints of an arm, twice, and the number of its branches that begin at the base."""
+    branches = [x for block in group.blocks for x in block.branches if x.arm == arm]
+    joints = sum(len(x.joints) for x in branches)
+    return joints, joints, sum(x.level == 0 for x in branches)
+
+
+def _arm_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> list[TermOffsets]:
+    """Where the terms of each arm are."""
+    arms: dict[int, TermOffsets] = {}
+    for group in groups:
+        for block in group.blocks:
+            for x in block.branches:
+                first, padding = first_terms[x.arm], block.padding(x)
+                if not group.plain:
+                    arms[x.arm], _ = _offsets(first, *_sizes_of(group, x.arm))
+                    continue
+                at, _ = _offsets(first, block.joints, block.joints)
+                arms[x.arm] = at._replace(
+                    joints=len(x.joints),
+                    inertia=at.inertia + padding * (block.joints + 1),
+                    jacobian=at.jacobian + JACOBIAN_WIDTH * padding,
+                    bias=at.bias + padding,
+                    gravity_torque=at.gravity_torque + padding,
+                    poses=at.poses + POSE_WIDTH * padding,
+                )
+    return [arms[k] for k in range(len(arms))]
+
+
+# --- tables ---------------------------------------------------------------------------------------
+
+
+def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
+    blocks = [block for group in groups for block in group.blocks]
+    lineage: list[list[int]] = []
+    parents, first_ancestor = [], []
+    for group in groups:
+        places = group.places()
+        for block in group.blocks:
+            first_ancestor.append(len(lineage))
+            lanes = []
+            for x in block.filled():
+                way = [places[x.arm, joint] for joint in x.ancestors]
+                lanes.append(way[:1] * (block.ancestors - len(way)) + way)
+            lineage += np.transpose(lanes).astype(int).tolist()
+            parents.append([lane[-1] if lane else 0 for lane in lanes])
+    joints = [block.joints for block in blocks]
+    return Blocks(
+        joints=_integers(joints),
+        first_joint=_integers(_starts(joints)[:-1]),
+        ancestors=_integers([block.ancestors for block in blocks]),
+        lineage=_integers(lineage).reshape(-1, LANES),
+        first_ancestor=_integers(first_ancestor),
+        parents=_integers(parents),
+        branches=_integers([len(block.branches) for block in blocks]),
+        first_link=_integers([block.first_link for block in blocks]),
+        inertia=_integers([block.leaves.inertia for block in blocks]),
+        jacobian=_integers([block.leaves.jacobian for block in blocks]),
+        bias=_integers([block.leaves.bias for block in blocks]),
+        gravity_torque=_integers([block.leaves.gravity_torque for block in blocks]),
+        energy=_integers([block.leaves.energy for block in blocks]),
+        poses=_integers([block.leaves.poses for block in blocks]),
+        motions=_integers([block.motions for block in blocks]),
+    )
+
+
+def _group_table(
+    groups: Sequence[PlacedGroup],
+    first_terms: dict[int, int],
+    terms: int,
+    arms: Sequence[TermOffsets],
+    links: Sequence[BodyLink],
+) -> Groups:
+    rows = {(link.arm, link.joint): link.row for link in links}
+    runs = [_runs(group, arms) for group in groups]
+    motions = [_motions(group, links) for group in groups]
+    spare = terms - LANES
+    plain = np.array([group.plain for group in groups])
+    first = [group.blocks[0] for group in groups]
+    bodies = [
+        [rows[x.arm, x.joints[-1]] if group.plain else 0 for x in block.filled()]
+        for group, block in zip(groups, first, strict=True)
+    ]
+    return Groups(
+        first_block=_integers(_starts([len(group.blocks) for group in groups])),
+        plain=_integers(plain),
+        first_term=np.where(plain, [first_terms[block.branches[0].arm] for block in first], 0),
+        term_count=np.where(plain, [block.motions for block in first], 0),
+        bodies=_integers(bodies),
+        terms=_moves([group.terms for group in runs], spare),
+        poses=_moves([group.poses for group in runs], spare),
+        coriolis=_moves([group.coriolis for group in runs], spare),
+        motions=Motions(
+            sources=_integers([source for group in motions for source, _ in group]),
+            targets=_integers([target for group in motions for _, target in group]),
+            first=_integers(_starts([len(group) for group in motions])),
+        ),
+    )
+
+
+class Run(NamedTuple):
+    """Numbers of a lane that follow each other in the leaves, and where they go."""
+
+    leaf: int
+    lane: int
+    target: int
+    size: int
+
+
+class GroupRuns(NamedTuple):
+    """Where the leaves of a group go."""
+
+    terms: list[Run]
+    poses: list[Run]
+    coriolis: list[Run]
+
+
+def _runs(group: PlacedGroup, arms: Sequence[TermOffsets]) -> GroupRuns:
+    runs, roots = GroupRuns([], [], []), [0] * len(arms)
+    if group.plain:
+        return runs
+    for block in group.blocks:
+        for lane, branch in enumerate(block.branches):
+            leaves, terms = block.leaves, arms[branch.arm]
+            if branch.level == 0:
+                place = terms.energy + roots[branch.arm]
+                runs.terms.append(Run(leaves.energy, lane, place, 1))
+                roots[branch.arm] += 1
+            for first, joint, count in _in_order(branch):
+                k = block.padding(branch) + first
+                for name, size in (
+                    ("jacobian", JACOBIAN_WIDTH),
+                    ("bias", 1),
+                    ("gravity_torque", 1),
+                ):
+                    leaf, place = getattr(leaves, name), getattr(terms, name)
+                    run = Run(leaf + size * k, lane, place + size * joint, size * count)
+                    runs.terms.append(run)
+                leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
+                runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
+            inertia, coriolis = _matrix_runs(block, lane, branch, terms)
+            runs.terms.extend(inertia)
+            runs.coriolis.extend(coriolis)
+    return runs
+
+
+def _matrix_runs(
+    block: PlacedBlock, lane: int, branch: Branch, terms: TermOffsets
+) -> tuple[list[Run], list[Run]]:
+    """Runs of the rows of a branch of the inertia; those and columns of Coriolis forces."""
+    inertia, coriolis, leaf = [], [], block.leaves.inertia
+    columns = block.columns_of(branch)
+    for k, joint in enumerate(branch.joints, block.padding(branch)):
+        row = block.ancestors + k
+        for before in branch.ancestors:
+            source, target = leaf + columns[before], terms.inertia + before
+            inertia.append(Run(source + block.columns * k, lane, target + terms.stride * joint, 1))
+            coriolis.append(
+                Run(source + block.columns * row, lane, target + terms.stride * joint, 1)
+            )
+            source, target = leaf + block.columns * columns[before], terms.inertia + joint
+            coriolis.append(Run(source + row, lane, target + terms.stride * before, 1))
+        for _, before, count in _in_order(branch):
+            source, target = leaf + columns[before], terms.inertia + terms.stride * joint + before
+            coriolis.append(Run(source + block.columns * row, lane, target, count))
+            if before <= joint:
+                lower = min(count, joint + 1 - before)
+                inertia.append(Run(source + block.columns * k, lane, target, lower))
+    return inertia, coriolis
+
+
+def _in_order(branch: Branch) -> list[tuple[int, int, int]]:
+    """Joints of a branch that are numbered in order: place of the first, its number, how many."""
+    joints = np.array(branch.joints)
+    starts = [0, *(np.flatnonzero(np.diff(joints) != 1) + 1), len(joints)]
+    return [(int(a), int(joints[a]), int(b - a)) for a, b in pairwise(starts)]
+
+
+def _moves(groups: Sequence[Sequence[Run]], spare: int) -> Moves:
+    """The moves of runs: by four where that many follow each other."""
+    quads: list[tuple[int, list[int]]] = []
+    singles: Pairs = []
+    sizes: Pairs = []
+    for runs in groups:
+        by_four: dict[int, list[int]] = {}
+        count = len(singles)
+        for run in runs:
+            if run.size < LANES:
+                singles += [
+                    (LANES * (run.leaf + k) + run.lane, run.target + k) for k in range(run.size)
+                ]
+                continue
+            # the last four may repeat numbers of those before
+            for k in (*range(0, run.size - LANES, LANES), run.size - LANES):
+                places = by_four.setdefault(LANES * (run.leaf + k), [spare] * LANES)
+                assert places[run.lane] == spare, "a number has one place"
+                places[run.lane] = run.target + k
+        quads += sorted(by_four.items())
+        sizes.append((len(by_four), len(singles) - count))
+    return Moves(
+        quads=_integers([leaf for leaf, _ in quads]),
+        places=_integers([places for _, places in quads]).reshape(-1, LANES),
+        sources=_integers([source for source, _ in singles]),
+        targets=_integers([target for _, target in singles]),
+        first_quad=_integers(_starts([quad for quad, _ in sizes])),
+        first_single=_integers(_starts([single for _, single in sizes])),
+    )
+
+
+def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, int]]:
+    """The first number of each motion of a link in the leaves, and in the bodies."""
+    places = {} if group.plain else group.places()
+    motions = []
+    for block in group.blocks:
+        for slot, k in enumerate(block.carries):
+            row = block.first_link + block.ancestors + k
+            source = LANES * (block.motions + BODY_WIDTH * slot)
+            for link in links:
+                place = places.get((link.arm, link.joint), -1)
+                if place // LANES == row:
+                    motions.append((source + place % LANES, BODY_WIDTH * link.row))
+    return motions
+
+
+def _divides(group: PlacedGroup) -> list[bool]:
+    """Whether branches begin at the link of each joint of the group's blocks."""
+    rows = {
+        group.places()[x.arm, x.ancestors[-1]] // LANES
+        for block in group.blocks for x in block.branches if x.ancestors
+    }  # fmt: skip
+    return [
+        block.first_link + block.ancestors + k in rows
+        for block in group.blocks
+        for k in range(block.joints)
+    ]
+
+
+def _slots(block: PlacedBlock) -> list[int]:
+    """Number of each joint among those of the block that carry links of connections, or -1."""
+    return [block.carries.index(k) if k in block.carries else -1 for k in range(block.joints)]
+
+
+def _sources(block: PlacedBlock, first_joints: Sequence[int]) -> np.ndarray:
+    """Each lane's joints in the stacked vectors, shape (4 n,); padding reads any of its arm."""
+    lanes = [
+        [first_joints[x.arm] + joint for joint in (*[0] * block.padding(x), *x.joints)]
+        for x in block.filled()
+    ]
+    return np.transpose(lanes).ravel()
+
+
+def _constants(block: PlacedBlock, structures: Sequence[ArmStructure]) -> np.ndarray:
+    """Constants of the lanes of a block, shape (n, 34, 4)."""
+    lanes = [
+        np.vstack([
+            joints_at_rest(block.padding(x)), chain_joints(structures[x.arm])[list(x.joints)]
+        ])
+        for x in block.filled()
+    ]  # fmt: skip
+    return np.stack(lanes, axis=-1)
+
+
+def _aligned(numbers: np.ndarray) -> np.ndarray:
+    aligned = aligned_zeros(numbers.size)
+    aligned[:] = numbers.ravel()
+    return aligned
+
+
+def _starts(counts: Sequence[int]) -> list[int]:
+    """Where each of parts with so many entries begins, and the end."""
+    return list(accumulate(counts, initial=0))
+
+
+def _integers(values: Sequence | np.ndarray) -> np.ndarray:
+    return np.array(values, dtype=np.int64)

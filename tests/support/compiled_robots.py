@@ -1,0 +1,66 @@
+"""Compiled robots in one system, by themselves, and what their terms are compared with."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from multiarm.arms.arm import Arm, ArmFiles
+from multiarm.arms.compiled import backend as compiled_backend
+from multiarm.arms.compiled.backend import CompiledBackend
+from multiarm.arms.compiled.packing import make_tables
+from multiarm.arms.compiled.tables import Wanted
+from multiarm.arms.terms import LinkTerms
+
+GRAVITY = np.array([1.0, -2.0, -9.0])
+
+
+def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
+    base = np.eye(4) if base is None else base
+    return Arm(name, ArmFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors)
+
+
+def random_base(rng, away=1.0) -> np.ndarray:
+    base = np.eye(4)
+    base[:3, :3] = Rotation.random(random_state=rng).as_matrix()
+    base[:3, 3] = away * rng.uniform(-1, 1, 3)
+    return base
+
+
+class Compiled:
+    """Compiled robots in one system, and their state."""
+
+    def __init__(self, structures, links, gravity=GRAVITY) -> None:
+        places = list(range(len(structures)))
+        first = np.cumsum([0] + [tree.masses.size for tree in structures])
+        rows = compiled_backend._body_links(places, links)
+        self.tables = make_tables(structures, first[:-1].tolist(), rows, gravity)._replace(
+            wanted=Wanted(gravity_torque=True, poses=True)
+        )
+        self.backend = CompiledBackend(self.tables, places, {}, links)
+        self.angles, self.rates = np.zeros(first[-1]), np.zeros(first[-1])
+        self.bodies = np.full((len(links), 24), np.nan)
+        self.backend.bind(self.angles, self.rates, self.bodies)
+        self.parts = [slice(a, b) for a, b in pairwise(first)]
+
+    def draw(self, rng) -> None:
+        self.angles[:] = rng.uniform(-3, 3, self.angles.size)
+        self.rates[:] = rng.uniform(-3, 3, self.rates.size)
+
+    def terms(self) -> list[LinkTerms]:
+        self.backend.update(with_coriolis=True)
+        return [self.backend.terms(k) for k in range(len(self.parts))]
+
+
+def largest_difference(terms: LinkTerms, expected: LinkTerms) -> dict[str, float]:
+    """Of each quantity, relative to its largest entry (to 1 where that is smaller)."""
+    return {
+        name: float(
+            np.max(np.abs(value - reference), initial=0.0)
+            / max(np.max(np.abs(reference), initial=0.0), 1.0)
+        )
+        for name, value, reference in zip(LinkTerms._fields, terms, expected, strict=True)
+    }
