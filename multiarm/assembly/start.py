@@ -293,9 +293,9 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
         if cosine < 0.0:
             angle = math.degrees(math.acos(max(cosine, -1.0)))
             faults.append(
-                f"{name} closes the joint of arm '{joint.connection}' the wrong way round: its frame "
-                f"on the arm is turned by {angle:.0f} degrees against that on the object; correct "
-                "the posture or `at`, or let `posture: solve` find it"
+                f"{name} closes the joint of arm '{joint.connection}' the wrong way round: its "
+                f"frame on the arm is turned by {angle:.0f} degrees against that on the object; "
+                "correct the posture or `at`, or let `posture: solve` find it"
             )
     if faults:
         raise SceneError(faults)
