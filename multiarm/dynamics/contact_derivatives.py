@@ -41,7 +41,7 @@ from multiarm.contacts.table import JOINT, ON_PLANE, open_code, open_geometry
 from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.geometry.stencils import CENTRAL_4
-from multiarm.jit.kernels import clear, copy, inlined, kernel
+from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.rows import offset_of
 from multiarm.jit.vectors import (
     AXES,
@@ -147,7 +147,8 @@ def write_body_displacement(body, columns, c, moved, out):
         if body == OBJECT:
             out[c] = 1.0
     elif c < columns.placement and body >= 0:
-        copy(moved[c - columns.positions], out)
+        for j in range(DISPLACEMENT_WIDTH):
+            out[j] = moved[c - columns.positions, j]
 
 
 @kernel

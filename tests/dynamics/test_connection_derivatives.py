@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mechanics import difference, random_state
+from steps import ORDER_8, Slope, assert_derivatives, coupled, derivatives_of, step_of_the_package
 from tree_systems import tree_system
 
 import multiarm as ma
@@ -22,8 +23,9 @@ CONNECTIONS = {
     "one tip twice": (TWO_ARMS, {("l5", "object"): BALL, ("l5", "world"): POINT}),
     "a tip and a link within": (TWO_ARMS, {("l9", "object"): BALL, ("l7", "world"): POINT}),
     "an inner loop": (TWO_ARMS, {("l5", "l9"): BALL, ("l5", "object"): BALL}),
-    "an inner loop along one branch": (TWO_ARMS, {("l9", "l0"): BALL, ("l2", "l7"): POINT}),
+    "an inner loop along one branch": (TWO_ARMS, {("l9", "l6"): POINT, ("l2", "l7"): CYLINDER}),
     "curved surfaces": (TWO_ARMS, {("l5", "l9"): CYLINDER, ("l9", "object"): CYLINDER}),
+    "the world holds the object": (TWO_ARMS, {("object", "world"): BALL, ("l9", "object"): POINT}),
     "a free robot and object": (TWO_ARMS, {("l5", "world"): POINT}),
 }  # fmt: skip
 
@@ -54,8 +56,8 @@ def unknowns(system, state):
 
 
 @pytest.mark.parametrize("case", CONNECTIONS)
-def test_derivatives_of_connections_are_those_of_differences(case, monkeypatch, tmp_path, rng):
-    system = tree_system(monkeypatch, tmp_path, rng, *CONNECTIONS[case])
+def test_derivatives_of_connections_are_those_of_differences(case, tmp_path, rng):
+    system = tree_system(tmp_path, rng, *CONNECTIONS[case])
     state = random_state(system, rng, turn=0.5, speed=0.5)
     derivatives = ma.derivatives(system, 0.0, state)
     assert derivatives.message == ""
@@ -66,3 +68,19 @@ def test_derivatives_of_connections_are_those_of_differences(case, monkeypatch, 
     size = np.abs(expected).max(axis=1, keepdims=True) + 1.0
     matrix = derivatives.matrix[: len(expected), : len(columns)]
     np.testing.assert_allclose(matrix / size, expected / size, atol=1e-7)
+
+
+@pytest.mark.parametrize("case", ["a tip and a link within", "an inner loop", "curved surfaces"])
+@pytest.mark.parametrize("gains", [(0.0, 0.0), (30.0, 20.0)], ids=["", "with feedback"])
+def test_derivatives_of_steps_are_those_of_differences(case, gains, tmp_path, rng):
+    """Of a step robot by robot, and of one with a matrix for the whole system."""
+    system = tree_system(tmp_path, rng, *CONNECTIONS[case])
+    state = random_state(system, rng, turn=0.3, speed=0.5)
+    nv, exact = 6 + system.model.layout.joints, Slope(system, state, *gains)
+    steps = [step_of_the_package(s, state, 1e-3, *gains) for s in (system, coupled(system))]
+    assert [bool(step.work[0].derived.arm_by_arm) for step in steps] == [True, False]
+    J = exact.jacobian(steps[0].step.tolerance.size, 3e-3)[nv:]
+    # gaps of about a metre, times beta^2, make accelerations whose roundings the differences have
+    bound = max(ORDER_8, 1e-10 * np.max(np.abs(exact(0.0, exact.z)[nv:])))
+    for system_of_step, step in zip((system, coupled(system)), steps, strict=True):
+        assert_derivatives(np.hstack(derivatives_of(system_of_step, step)), J, bound)
