@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mechanics import difference, random_state
 from steps import ORDER_8, Slope, assert_derivatives, coupled, derivatives_of, step_of_the_package
-from tree_systems import tree_system
+from tree_systems import name_of, tree_system
 
 import multiarm as ma
 from multiarm.spatial import retract
@@ -68,6 +68,32 @@ def test_derivatives_of_connections_are_those_of_differences(case, tmp_path, rng
     size = np.abs(expected).max(axis=1, keepdims=True) + 1.0
     matrix = derivatives.matrix[: len(expected), : len(columns)]
     np.testing.assert_allclose(matrix / size, expected / size, atol=1e-7)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_placements_of_contacts_have_derivatives_by_connection(joint, tmp_path):
+    """Of two connections of one robot: a shift and a turn of the frame on the first body."""
+    pairs = [("l5", "object"), ("l7", "l3")]
+
+    def displaced(h, column):
+        at_first = {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+        at_first["xyz" if column < 3 else "rpy"][column % 3] = h
+        kinds = [{**BALL, "at_first": at_first if k == joint else {}} for k in range(2)]
+        rng = np.random.default_rng(5)
+        system = tree_system(tmp_path, rng, TWO_ARMS, dict(zip(pairs, kinds, strict=True)))
+        return system, random_state(system, rng, turn=0.3, speed=0.5)
+
+    system, state = displaced(0.0, 0)
+    derivatives = ma.derivatives(system, 0.0, state, parameters=True)
+    rows = len(unknowns(*displaced(0.0, 0)))
+    placements = derivatives.matrix[:rows, derivatives.columns["placements"]]
+    block = placements[:, 6 * joint : 6 * joint + 6]
+    for column in range(6):
+        expected = difference(lambda h, c=column: unknowns(*displaced(h, c)))
+        size = np.abs(expected).max() + 1.0
+        np.testing.assert_allclose(block[:, column] / size, expected / size, atol=1e-7)
+    names = [f"{name_of(first)}-{name_of(second)}" for first, second in pairs]
+    assert list(derivatives.object_acceleration.d_placements) == names
 
 
 @pytest.mark.parametrize("case", ["a tip and a link within", "an inner loop", "curved surfaces"])
