@@ -214,7 +214,7 @@ def test_rows_of_bodies_are_those_of_the_links(parents, rng):
 
 @given(seed=st.integers(0, 2**32 - 1), joints=st.integers(1, 20))
 def test_branches_are_ways_along_which_a_tree_does_not_divide(seed, joints):
-    parents = random_parents(np.random.default_rng(seed), joints)
+    parents = np.array(random_parents(np.random.default_rng(seed), joints))
     branches = branches_of(0, parents)
     assert sorted(joint for branch in branches for joint in branch.joints) == list(range(joints))
     children = [np.flatnonzero(parents == joint) for joint in range(joints)]

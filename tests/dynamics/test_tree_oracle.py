@@ -80,13 +80,17 @@ def test_minimal_and_maximal_coordinates_agree(family, drawn):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", ["node", "dense"])
+@pytest.mark.parametrize(
+    ("solver", "arms"), [("node", "pinocchio"), ("dense", "pinocchio"), ("node", "compiled")]
+)
 @pytest.mark.parametrize("family", FAMILIES)
-def test_evaluations_agree(family, solver, drawn):
+def test_evaluations_agree(family, solver, arms, drawn):
     for seed in range(4):
         scene, trees, state, torques = drawn(family, seed)
         scene = {**scene, "run": {**scene.get("run", {}), "solver": solver}}
-        evaluation = ma.evaluate(ma.compile_system(parse_scene(scene)))
+        system = ma.compile_system(parse_scene(scene), arms=arms)
+        assert set(system.arm_terms.values()) == {arms}
+        evaluation = ma.evaluate(system)
         solution = solve_minimal(trees, state, torques)
         about = {
             connection.name: state.object_position

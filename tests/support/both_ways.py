@@ -11,12 +11,15 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import CodeType
 from typing import Any
 
 import event_scenes
 import golden
 import numpy as np
+from random_trees import draw_trees
 
 import multiarm as ma
 from multiarm.arms.compiled.kernels import outwards, update_arms
@@ -35,12 +38,27 @@ from multiarm.jit.simd import (
     transpose_four,
 )
 from multiarm.problems import HARD_CASES, ring_of_arms
+from multiarm.scene import parse_scene
 from multiarm.scene.joint_values import SOLVE
 
 
 def swinging(arms: str) -> ma.System:
     """Two UR5s hold a disc by balls, and cannot hold it still."""
     return ma.compile_system(ring_of_arms(2, "ball"), arms=arms)
+
+
+def dividing() -> ma.System:
+    """A compiled robot with branches holds an object by several tips."""
+    with TemporaryDirectory() as folder:
+        trees = draw_trees("several_tips", np.random.default_rng(4), Path(folder))
+        return ma.compile_system(parse_scene(trees.scene), arms="compiled")
+
+
+def branches() -> golden.Results:
+    """An evaluation of a robot with branches."""
+    evaluation = ma.evaluate(dividing())
+    accelerations = [*evaluation.joint_accelerations.values(), evaluation.object_acceleration]
+    return {"accelerations": np.concatenate(accelerations)}
 
 
 def step() -> golden.Results:
@@ -135,7 +153,17 @@ def packs() -> golden.Results:
 
 COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
     function.__name__: function
-    for function in (packs, posture, step, ten_steps, implicit_steps, event, derivatives, gradient)
+    for function in (
+        packs,
+        posture,
+        branches,
+        step,
+        ten_steps,
+        implicit_steps,
+        event,
+        derivatives,
+        gradient,
+    )
 }
 
 
@@ -165,7 +193,7 @@ def lines_of_kernels() -> golden.Results:
     """
     from multiarm.dynamics.equations import evaluate_state
 
-    system, seen = swinging("compiled"), {}
+    system, seen = dividing(), {}
     for function in (evaluate_state, update_arms, outwards):
         seen[function.py_func.__code__] = set()
 

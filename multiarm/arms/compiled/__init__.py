@@ -1,7 +1,7 @@
-"""Batched RNEA and CRBA of serial arms in compiled code.
+"""Batched RNEA and CRBA of robots in compiled code.
 
-An arm's structure (:meth:`multiarm.arms.arm.Arm.structure`) is packed into tables
-(:mod:`.tables`), which the kernels (:mod:`.kernels`, :mod:`.coriolis`) read for all arms of all
-scenes, four arms in one SIMD pack.  Nothing is compiled for a scene.  Arms that no table describes
-stay with Pinocchio.
+An arm's structure (:meth:`multiarm.arms.arm.Arm.structure`) is divided into
+branches (:mod:`.branches`), and packed into tables (:mod:`.tables`, :mod:`.packing`), which the
+kernels (:mod:`.kernels`, :mod:`.coriolis`) read for all robots of all scenes, four branches in one
+SIMD pack.  Nothing is compiled for a scene.  Robots that no table describes stay with Pinocchio.
 """
