@@ -117,7 +117,7 @@ class PostureSearch:
             if search.free == self.free
         ]
         weight = 0.0 if self.free else LENGTH
-        miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shift, weight * m.turn])))
+        miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shifts[0], weight * m.turns[0]])))
         beyond = searches[-1][0].farther_than_it_reaches(self.place)
         if beyond is None:
             total = sum(starts for _, starts in searches)
@@ -130,11 +130,11 @@ class PostureSearch:
                 f"the tip's place on the object is out of reach: it is {beyond[0]:.3f} m from the "
                 f"arm's first joint, and the arm stretches to {beyond[1]:.3f} m"
             )
-        turn = np.rad2deg(miss.turn)
-        shift = ", ".join(f"{x:.3f}" for x in miss.shift)
+        turn, (away,) = np.rad2deg(miss.turns[0]), miss.shifts
+        shift = ", ".join(f"{x:.3f}" for x in away)
         turned = f" and {turn:.0f} deg" if turn > NO_TURN and not self.free else ""
         return (
-            f"{text}; the nearest posture found leaves {np.linalg.norm(miss.shift):.3f} m{turned}; "
+            f"{text}; the nearest posture found leaves {np.linalg.norm(away):.3f} m{turned}; "
             f"move the base by [{shift}] m{', and turn it,' if turned else ''} or choose another "
             "place"
         )
