@@ -267,11 +267,8 @@ class TreeKinematics:
         x, _ = min(ends, key=lambda end: end[1])
         poses, _ = self._poses(tree, x)
         frames = fields_of(LinkPose, poses)
-        firsts, seconds = (
-            [matrix_to_quaternion(R) for R in frames.axes[rows]]
-            for rows in (tree.first, tree.second)
-        )
-        turns = [np.linalg.norm(difference(*pair)) for pair in zip(firsts, seconds, strict=True)]
+        pairs = zip(frames.axes[tree.first], frames.axes[tree.second], strict=True)
+        turns = [difference(*map(matrix_to_quaternion, pair)) for pair in pairs]
         shifts = frames.origin[tree.second] - frames.origin[tree.first]
         return Miss(self._all_joints(x), shifts, np.linalg.norm(turns, axis=1))
 
@@ -287,6 +284,12 @@ class TreeKinematics:
         J = np.empty((6, x.size))
         write_jacobian(self._tree, number, poses, columns, J)
         return pose, J
+
+    def origins(self, posture: np.ndarray) -> np.ndarray:
+        """Origins of all joints in the world (n, 3) [m]."""
+        x = np.asarray(posture, dtype=float)[self._tree.independent]
+        poses, columns = self._poses(self._tree, x)
+        return fields_of(LinkPose, poses).origin[: len(columns)]
 
     def _poses(self, tree: Tree, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of joints and frames, and the joints' columns, as rows of the kernel."""
@@ -469,9 +472,14 @@ def _on_joints(
 
 
 def points_on_links(origins: np.ndarray) -> np.ndarray:
-    """Points on the lines between origins of joints, (5 (n - 1), 3) of (n, 3) [m]."""
+    """Points on the lines between origins of a chain's joints, (5 (n - 1), 3) of (n, 3) [m]."""
+    return points_between(origins[:-1], origins[1:])
+
+
+def points_between(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Points on lines from beginnings (n, 3) to ends (n, 3), shape (5 n, 3) [m]."""
     steps = np.linspace(0.0, 1.0, 5)[:, None, None]
-    return (origins[:-1] + steps * np.diff(origins, axis=0)).reshape(-1, 3)
+    return (begins + steps * (ends - begins)).reshape(-1, 3)
 
 
 def clearance(*distances: np.ndarray) -> float:

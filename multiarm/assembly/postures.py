@@ -12,7 +12,7 @@ the best is taken of those that do not.  Collisions of an arm with itself are no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,6 +24,7 @@ from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
     InverseKinematics,
+    TreeKinematics,
     clearance,
     points_on_links,
 )
@@ -79,26 +80,16 @@ class PostureSearch:
         The joint's frames are shifted against each other only where they cannot coincide.
         """
         clear_of_object = clear_of(self.body, self.place, meshes=allowed is not None)
-        coincide = False
 
         def clear(posture: np.ndarray, _number: int) -> float:
             return clear_of_object(self.arm.files.base, self.arm.skeleton(posture))
 
-        def accepted(posture: np.ndarray, _number: int) -> bool:
-            nonlocal coincide
-            coincide = coincide or not shifted
-            return allowed is None or allowed(posture)
-
-        for search, starts in self._searches():
-            shifted = any(k < 3 for k in search.free)
-            if coincide and shifted:
-                continue
-            if search.farther_than_it_reaches(self.place) is None:
-                rng = np.random.default_rng(0)
-                reach = search.search([self.place], rng, starts, clear, accepted)
-                if reach is not None:
-                    return reach.postures[0]
-        return None
+        searches = [
+            (search, starts)
+            for search, starts in self._searches()
+            if search.farther_than_it_reaches(self.place) is None
+        ]
+        return best_posture(searches, self.place, clear, allowed)
 
     def _searches(self) -> list[tuple[InverseKinematics, int]]:
         """Searches, and their starts: well inside the limits first, and with nothing left free."""
@@ -138,6 +129,34 @@ class PostureSearch:
             f"move the base by [{shift}] m{', and turn it,' if turned else ''} or choose another "
             "place"
         )
+
+
+def best_posture(
+    searches: Sequence[tuple[TreeKinematics, int]],
+    place: np.ndarray,
+    clear: Callable[[np.ndarray, int], float],
+    allowed: Callable[[np.ndarray], bool] | None = None,
+) -> np.ndarray | None:
+    """The best posture (n,) of the first of some searches, with their starts, that has one.
+
+    Searches that shift frames against each other count only where these cannot coincide: where
+    none that does not has a posture, ``allowed`` or not.
+    """
+    coincide = False
+
+    def accepted(posture: np.ndarray, _number: int) -> bool:
+        nonlocal coincide
+        coincide = coincide or not shifted
+        return allowed is None or allowed(posture)
+
+    for search, starts in searches:
+        shifted = any(k < 3 for target in search.targets for k in target.free)
+        if not (coincide and shifted):
+            rng = np.random.default_rng(0)
+            reach = search.search([place], rng, starts, clear, accepted)
+            if reach is not None:
+                return reach.postures[0]
+    return None
 
 
 def find_postures(
@@ -271,17 +290,43 @@ def clear_of(
         Of the base (4, 4) and the origins of joints and tip (n + 1, 3) in the world: a factor on
         the quality of a posture, see :meth:`InverseKinematics.search`.
     """
+    apart = apart_from(body, place[2, 3], meshes)
+
+    def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
+        return apart(base, points_on_links(skeleton[:-1]), skeleton[2:-1, 2])
+
+    return clear
+
+
+def apart_from(
+    body: ObjectSpec, height: float, meshes: bool
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
+    """How well links keep apart from the object's box, and from the ground.
+
+    Parameters
+    ----------
+    height : float
+        Of the lowest place that is held [m].
+    meshes : bool
+        Whether the box of a mesh counts, too.
+
+    Returns
+    -------
+    callable
+        Of the base (4, 4), points on links (k, 3) and heights of joints in the world [m]: a factor
+        on the quality of a posture.
+    """
     pose = body.pose.matrix()
     solid = body.shape.solid if meshes or body.shape.mesh is None else None
     corners = None if solid is None else solid.bounding_box()
 
-    def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
+    def apart(base: np.ndarray, points: np.ndarray, heights: np.ndarray) -> float:
         outside = above = np.zeros(0)
         if corners is not None:
-            seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
+            seen = (points - pose[:3, 3]) @ pose[:3, :3]
             outside = np.maximum(corners[0] - seen, seen - corners[1]).max(axis=1)
-        if base[2, 2] > 0.9 and base[2, 3] < place[2, 3]:  # upright, and lower than its place
-            above = skeleton[2:-1, 2] - base[2, 3]
+        if base[2, 2] > 0.9 and base[2, 3] < height:  # upright, and lower than the place
+            above = heights - base[2, 3]
         return clearance(outside, above)
 
-    return clear
+    return apart
