@@ -7,7 +7,7 @@ that is farthest from singular postures, from the limits of its joints, from the
 ground on which the base stands (:mod:`multiarm.assembly.inverse_kinematics`).
 
 Where its links overlap the object or the links of other arms (:mod:`multiarm.assembly.collisions`),
-the best is taken of those that do not.  Collisions of an arm with itself are not looked at.
+the best is taken of those that do not.  Links of an arm are not compared with each other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, nearest
+from multiarm.assembly.collisions import NearestPair, Placed, Surroundings
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
@@ -227,8 +227,7 @@ def _out_of_the_way(
 def _distance(
     surroundings: Surroundings, name: str, obstacles: Placed, posture: np.ndarray
 ) -> float:
-    links = surroundings.placed(name, posture, standing=False)
-    return nearest(links, obstacles).distance
+    return surroundings.nearest(name, posture, obstacles).distance
 
 
 def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> bool:
@@ -244,8 +243,7 @@ def overlapping_links(
         return {}
     surroundings, overlaps = Surroundings(scene, arms), {}
     for name in open_arms:
-        links = surroundings.placed(name, postures[name], standing=False)
-        pair = nearest(links, surroundings.obstacles(name, postures))
+        pair = surroundings.nearest(name, postures[name], surroundings.obstacles(name, postures))
         if pair.distance < -OVERLAP:
             overlaps[name] = pair
     return overlaps

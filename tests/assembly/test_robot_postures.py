@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from random_trees import pinocchio_model, random_parents, random_structure
+from random_structures import pinocchio_model, random_parents, random_structure
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
@@ -81,7 +81,7 @@ def model(name: str, *tips: str) -> Robot:
     ways = [whole.supports[whole.frames[whole.getFrameId(tip)].parentJoint] for tip in tips]
     moved = {joint for way in ways for joint in way}
     locked = {whole.names[k]: 0.0 for k in range(1, whole.njoints) if k not in moved}
-    arm = Arm("robot", ArmFiles(urdf, (), np.eye(4), tips[0], locked))
+    arm = Arm("robot", ArmFiles(urdf, (), np.eye(4), {tip: tip for tip in tips}, locked))
     frames = [arm.model.frames[arm.model.getFrameId(tip)] for tip in tips]
     return Robot(
         arm.structure(),
@@ -282,8 +282,11 @@ def test_joints_that_follow_others_do_and_keep_their_own_limits():
     robot = Robot(tree, limits, (tip,))
     q = robot.search(robot.holds([place]), couplings=couplings).best()
     np.testing.assert_allclose(q, [angle, angle + 0.2, angle + 0.2], atol=CLOSED)
-    limits[2] = -0.3, 0.6  # less than the last bar has to turn
-    assert robot.search(robot.holds([place]), couplings=couplings).best() is None
+    for joint, most in ((0, 0.4), (1, 0.6), (2, 0.6)):  # less than the bar has to turn
+        narrow = limits.copy()
+        narrow[joint, 1] = most
+        search = replace(robot, limits=narrow).search(robot.holds([place]), couplings=couplings)
+        assert search.best() is None
 
 
 def test_joints_that_move_no_connection_stay_as_they_are_written(rng):
@@ -332,9 +335,10 @@ def test_the_posture_is_among_the_best_of_many(rng):
         return np.linalg.svd(np.vstack(rows), compute_uv=False)[-1] * min(1.0, 2.0 * room)
 
     kinematics, _ = search._searches()[0]
-    drawn = [quality(course[0]) for course in kinematics.courses([ALL_WRITTEN], rng, STARTS)]
+    same = np.random.default_rng(0)
+    drawn = [quality(course[0]) for course in kinematics.courses([ALL_WRITTEN], same, STARTS)]
     assert len(drawn) > 20
-    assert quality(search.best()) > np.quantile(drawn, 0.9)
+    assert quality(search.best()) == pytest.approx(max(drawn))
 
 
 def test_a_mechanism_in_a_plane_prefers_postures_far_from_singular_ones():
@@ -356,20 +360,21 @@ def test_a_mechanism_in_a_plane_prefers_postures_far_from_singular_ones():
     assert np.linalg.svd(J[:2], compute_uv=False)[-1] > 0.5
 
 
-def test_links_keep_off_the_object_and_above_the_ground(rng):
-    """Two arms of three bars on a column hold a box between them from both sides."""
+def test_links_keep_off_the_object(rng):
+    """Two arms on one trunk reach around a plate between them; it has to stand beside it."""
     robot = on_moving_base(model("tiago_dual", "hand_left_tool_link", "hand_right_tool_link"))
-    body = ObjectSpec(mass=1.0, shape={"box": [0.6, 0.3, 0.3]}, pose={"xyz": [0, 0, 0.9]})
-    places = []
+    size, middle, places = np.array([0.8, 0.4, 0.2]), np.array([0, 0, 0.9]), []
     for side in (1.0, -1.0):
         place = np.eye(4)
-        place[:3, :3] = Rotation.from_euler("z", [-np.pi / 2 * side]).as_matrix()[0]
-        place[:3, 3] = [0.0, 0.2 * side, 0.9]
+        place[:3, :3] = Rotation.from_euler("z", -0.5 * np.pi * side).as_matrix()
+        place[:3, 3] = middle + [0.0, 0.22 * side, 0.0]
         places.append(place)
+    body = ObjectSpec(mass=1.0, shape={"box": size.tolist()}, pose={"xyz": middle.tolist()})
     q = robot.search(robot.holds(places), body=body).best()
-    origins = np.array([pose[:3, 3] for pose in robot.poses(q)[:-1]])
-    inside = np.all(np.abs(origins - [0, 0, 0.9]) < [0.3, 0.15, 0.15], axis=1)
-    assert not inside.any() and np.min(origins[4:, 2]) > 0.0
+    origins, parents = np.array([X[:3, 3] for X in robot.poses(q)]), robot.structure.parents[4:]
+    for part in np.linspace(0.0, 1.0, 9):
+        points = (1.0 - part) * origins[parents] + part * origins[4:-1]
+        assert np.all(np.any(np.abs(points - middle) > 0.5 * size, axis=1))
 
 
 # --- where there is none --------------------------------------------------------------------------
