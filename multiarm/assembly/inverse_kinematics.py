@@ -11,7 +11,6 @@ travels of all sliding joints.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy as shallow_copy
 from dataclasses import dataclass, replace
@@ -23,8 +22,10 @@ from multiarm.arms.arm import Arm
 from multiarm.arms.chain import ChainJoint, require_chain
 from multiarm.arms.terms import POSE_WIDTH, ArmStructure, LinkPose
 from multiarm.assembly.kinematic_tree import (
+    MARGIN,
     Coupling,
     LinkFrame,
+    Ranges,
     Target,
     kinematic_tree,
     with_places,
@@ -43,8 +44,6 @@ from multiarm.spatial import difference, matrix_to_quaternion
 
 # Length that compares shifts with turns [m]: about half an arm.
 LENGTH = 0.5
-# Joints without limits are sought within a turn either way, all others this far inside them [rad].
-TURN, MARGIN = math.pi, 0.05
 # Qualities closer than this part are equal, as those of postures that mirror each other.
 TIE = 1e-6
 # Part of the largest singular value below which another one is zero.
@@ -101,68 +100,6 @@ class Miss:
     posture: np.ndarray
     shifts: np.ndarray
     turns: np.ndarray
-
-
-@dataclass(frozen=True)
-class Ranges:
-    """Where joints are sought.
-
-    Attributes
-    ----------
-    lower, upper : ndarray, shape (n,)
-        Bounds [rad or m].
-    limited : ndarray of bool, shape (n,)
-        Joints that should keep away from their bounds.
-    margin : float
-        How far the bounds are inside the limits [rad or m].
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    limited: np.ndarray
-    margin: float
-
-    @classmethod
-    def of_joints(cls, limits: np.ndarray, slides: np.ndarray, to_limits: bool) -> Ranges:
-        """Within limits (n, 2), infinite where there are none.
-
-        Parameters
-        ----------
-        slides : ndarray of bool, shape (n,)
-        to_limits : bool
-            Whether joints may come up to their limits, as far as sliding joints go.
-        """
-        endless = ~np.isfinite(limits).all(axis=1)
-        low, high = np.where(endless, 0.0, limits.T)
-        middle = 0.5 * (low + high)
-        margin = 0.0 if to_limits else MARGIN
-        half = np.where(endless, TURN, 0.5 * (high - low) - margin)
-        farthest = np.where(slides, np.inf, TURN) if to_limits else TURN
-        half = np.minimum(np.maximum(half, 0.0), farthest)
-        return cls(middle - half, middle + half, ~endless, margin)
-
-    def of_independent(self, tree: Tree, rest: np.ndarray | None = None) -> Ranges:
-        """Of the numbers ``x`` of a tree, which also keep the joints that follow in their ranges.
-
-        Parameters
-        ----------
-        rest : ndarray, shape (n,), optional
-            Where joints stay that move no target; in the middle of their ranges, if not given.
-        """
-        d = tree.independent.size
-        lower, upper = np.full(d, -np.inf), np.full(d, np.inf)
-        limited, moves = np.zeros(d, dtype=bool), np.zeros(d, dtype=bool)
-        for k, (leader, factor) in enumerate(zip(tree.leaders, tree.multipliers, strict=True)):
-            moves[leader] |= bool(np.any(tree.moves[:, k] != 0.0))
-            if factor != 0.0:
-                ends = np.array([self.lower[k], self.upper[k]])
-                low, high = np.sort((ends - tree.offsets[k]) / factor)
-                lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
-                limited[leader] |= self.limited[k]
-        upper = np.maximum(lower, upper)
-        still = 0.5 * (lower + upper) if rest is None else rest[tree.independent]
-        lower, upper = (np.where(moves, bound, still) for bound in (lower, upper))
-        return Ranges(lower, upper, limited & moves, self.margin)
 
 
 class TreeKinematics:

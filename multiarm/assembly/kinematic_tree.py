@@ -1,7 +1,8 @@
-r"""What a robot's connections ask of its posture: frames on links, and joints that follow others.
+r"""What is asked of a robot's posture: frames that come together, couplings and ranges of joints.
 
-:class:`Target` names two frames that come together, :class:`Coupling` a joint that follows another.
-:func:`kinematic_tree` makes of them the arrays of the kernel (:mod:`multiarm.assembly.reaching`).
+:class:`Target` names two frames, :class:`Coupling` a joint that follows another, :class:`Ranges`
+where joints are sought.  :func:`kinematic_tree` makes the arrays of the kernel of them
+(:mod:`multiarm.assembly.reaching`).
 
 Joints that follow others, :math:`q_k = a_k q_l + b_k`, are no unknowns: the numbers ``x`` that are
 sought are the positions of the joints that follow none.
@@ -9,6 +10,7 @@ sought are the positions of the joints that follow none.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -19,6 +21,9 @@ from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
 from multiarm.arms.terms import ArmStructure
 from multiarm.assembly.reaching import Tree
 from multiarm.jit.rows import fields_of
+
+# Joints without limits are sought within a turn either way, all others this far inside them [rad].
+TURN, MARGIN = math.pi, 0.05
 
 
 @dataclass(frozen=True)
@@ -78,6 +83,68 @@ class Coupling:
     leader: int
     multiplier: float
     offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Where joints are sought.
+
+    Attributes
+    ----------
+    lower, upper : ndarray, shape (n,)
+        Bounds [rad or m].
+    limited : ndarray of bool, shape (n,)
+        Joints that should keep away from their bounds.
+    margin : float
+        How far the bounds are inside the limits [rad or m].
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    limited: np.ndarray
+    margin: float
+
+    @classmethod
+    def of_joints(cls, limits: np.ndarray, slides: np.ndarray, to_limits: bool) -> Ranges:
+        """Within limits (n, 2), infinite where there are none.
+
+        Parameters
+        ----------
+        slides : ndarray of bool, shape (n,)
+        to_limits : bool
+            Whether joints may come up to their limits, as far as sliding joints go.
+        """
+        endless = ~np.isfinite(limits).all(axis=1)
+        low, high = np.where(endless, 0.0, limits.T)
+        middle = 0.5 * (low + high)
+        margin = 0.0 if to_limits else MARGIN
+        half = np.where(endless, TURN, 0.5 * (high - low) - margin)
+        farthest = np.where(slides, np.inf, TURN) if to_limits else TURN
+        half = np.minimum(np.maximum(half, 0.0), farthest)
+        return cls(middle - half, middle + half, ~endless, margin)
+
+    def of_independent(self, tree: Tree, rest: np.ndarray | None = None) -> Ranges:
+        """Of the numbers ``x`` of a tree, which also keep the joints that follow in their ranges.
+
+        Parameters
+        ----------
+        rest : ndarray, shape (n,), optional
+            Where joints stay that move no target; in the middle of their ranges, if not given.
+        """
+        d = tree.independent.size
+        lower, upper = np.full(d, -np.inf), np.full(d, np.inf)
+        limited, moves = np.zeros(d, dtype=bool), np.zeros(d, dtype=bool)
+        for k, (leader, factor) in enumerate(zip(tree.leaders, tree.multipliers, strict=True)):
+            moves[leader] |= bool(np.any(tree.moves[:, k] != 0.0))
+            if factor != 0.0:
+                ends = np.array([self.lower[k], self.upper[k]])
+                low, high = np.sort((ends - tree.offsets[k]) / factor)
+                lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
+                limited[leader] |= self.limited[k]
+        upper = np.maximum(lower, upper)
+        still = 0.5 * (lower + upper) if rest is None else rest[tree.independent]
+        lower, upper = (np.where(moves, bound, still) for bound in (lower, upper))
+        return Ranges(lower, upper, limited & moves, self.margin)
 
 
 def kinematic_tree(

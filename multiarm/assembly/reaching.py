@@ -31,7 +31,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from multiarm.arms.chain import (
     ChainJoint,
@@ -52,6 +51,7 @@ from multiarm.jit.kernels import (
     greatest,
     inlined,
     kernel,
+    named_tuple_of,
 )
 from multiarm.jit.rows import Pair, row_of, width
 from multiarm.jit.vectors import AXES, ZERO, add_cross, compose, rotation_vector, sub
@@ -105,8 +105,7 @@ class Column(NamedTuple):
     twist: Pair  # about the world's origin
 
 
-FIELDS = TABLE, INTS, INTS, INTS, INTS, TABLE, INTS, INTS, NUMBERS, NUMBERS
-TREE: Any = types.NamedTuple(FIELDS, Tree)
+TREE: Any = named_tuple_of(Tree, TABLE, INTS, INTS, INTS, INTS, TABLE, INTS, INTS, NUMBERS, NUMBERS)
 COLUMN_WIDTH = width(Column)
 open_joint, open_column = row_of(ChainJoint), row_of(Column)
 

@@ -26,11 +26,10 @@ from multiarm.assembly.inverse_kinematics import (
     TIE,
     WHOLE_STARTS,
     Miss,
-    Ranges,
     TreeKinematics,
     points_between,
 )
-from multiarm.assembly.kinematic_tree import Coupling, Target, way_to
+from multiarm.assembly.kinematic_tree import Coupling, Ranges, Target, way_to
 from multiarm.assembly.postures import NO_TURN, STARTS, apart_from, best_posture
 from multiarm.assembly.reaching import REACHED
 from multiarm.scene import ObjectSpec
@@ -256,11 +255,11 @@ class _Lengths:
 
     def between(self, name: str, second: str) -> tuple[float, float]:
         """Distance of two places from each other, and the reach between both tips [m]."""
-        (joints, links), (others, more) = self._way(name), self._way(second)
-        fork = sum(a == b for a, b in zip(joints, others, strict=False))
-        reach = _lengths(links[fork] - more[fork]) + np.sum(_lengths(links[fork + 1 :]))
-        reach += np.sum(_lengths(more[fork + 1 :]))
-        reach += np.sum(self._farthest(joints[fork:])) + np.sum(self._farthest(others[fork:]))
+        ways = self._way(name), self._way(second)
+        fork = sum(a == b for a, b in zip(ways[0][0], ways[1][0], strict=False))
+        reach = _lengths(ways[0][1][fork] - ways[1][1][fork])
+        for joints, links in ways:
+            reach += np.sum(_lengths(links[fork + 1 :])) + np.sum(self._farthest(joints[fork:]))
         if any(k < 3 for part in (name, second) for k in self._at_rest[part].free):
             return 0.0, float(reach)
         distance = np.linalg.norm(self._place(name)[:3, 3] - self._place(second)[:3, 3])

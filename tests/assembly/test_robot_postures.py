@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.terms import ArmStructure
-from multiarm.assembly.inverse_kinematics import Ranges, TreeKinematics
-from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Target
+from multiarm.assembly.inverse_kinematics import TreeKinematics
+from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target
 from multiarm.assembly.postures import STARTS
 from multiarm.assembly.reaching import REACHED
 from multiarm.assembly.robot_postures import ALL_WRITTEN, RobotPostureSearch
