@@ -104,13 +104,20 @@ class Surroundings:
 
     def __init__(self, scene: Scene, arms: Mapping[str, Arm]) -> None:
         self._arms = arms
-        places = {joint.arm: joint.on_first.matrix()[:3, 3] for joint in scene.joints}
+        places: dict[str, dict[str, np.ndarray]] = {name: {} for name in arms}
+        for joint in scene.joints:
+            at = np.eye(4) if joint.at is None else joint.at.matrix()
+            for body, pose in ((joint.first, joint.on_first.matrix()), (joint.second, at)):
+                if body.robot in arms:
+                    places[body.robot].setdefault(body.tip, pose[:3, 3])
         self._links = {name: _links(arm, places[name]) for name, arm in arms.items()}
         self._object = object_hull(scene.object)
         if self._object is not None:
             self._object.computeLocalAABB()
         self._object_pose = pin.SE3(scene.object.pose.matrix())
-        self._robots = {name: scene.group_of(name) for name in arms}
+        self._robots = {
+            name: scene.group_of(name) if name in scene.arms else arm for name, arm in arms.items()
+        }
         self._branches = {name: _on_two_branches(arm.model) for name, arm in arms.items()}
 
     def placed(
@@ -227,18 +234,25 @@ def _hull(points: np.ndarray) -> Any:
     return coal.Convex(vertices, faces)
 
 
-def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
-    """The shapes of an arm's links; ``place`` (3,) is where its tip holds the object [m]."""
-    geometry = arm.collision_model()
-    levers = arm.levers(place)
-    last = arm.tip.joint
-    hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
+def _hand(arm: Arm, tip: str, place: np.ndarray) -> set[int]:
+    """The joints, Pinocchio's numbers, of the hand that holds something at a place (3,) [m]."""
+    end, levers = arm.tips[tip], arm.levers(place, tip)
+    longest = np.max(levers[end.chain], initial=0.0)
+    return {end.joint} | {int(k) + 1 for k in end.chain if levers[k] <= HAND * longest}
+
+
+def _links(
+    arm: Arm, places: Mapping[str, np.ndarray]
+) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
+    """The shapes of a robot's links; ``places`` (3,) are where its tips hold something [m]."""
+    geometry, noun = arm.collision_model(), "arm" if "" in arm.tips else "robot"
+    hand = {joint for tip, place in places.items() for joint in _hand(arm, tip, place)}
     solids: list[Solid] = []
     lost: dict[str, None] = {}  # each file once
     unreadable: list[str] = []
     for item in geometry.geometryObjects.tolist():
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
-        name = f"link {link!r} of arm {arm.name!r}"
+        name = f"link {link!r} of {noun} {arm.name!r}"
         if isinstance(shape, coal.BVHModelBase):
             path = Path(item.meshPath)
             stamp = path.stat().st_mtime_ns if path.is_file() else 0

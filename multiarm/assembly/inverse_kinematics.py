@@ -209,6 +209,13 @@ class TreeKinematics:
         shifts = frames.origin[tree.second] - frames.origin[tree.first]
         return Miss(self._all_joints(x), shifts, np.linalg.norm(turns, axis=1))
 
+    def shifts(self, posture: np.ndarray) -> np.ndarray:
+        """From the second frame of each target to the first, axes of the second (C, 3) [m]."""
+        poses, _ = self._poses(self._tree, posture[self._tree.independent])
+        frames, first, second = fields_of(LinkPose, poses), self._tree.first, self._tree.second
+        ways = frames.origin[first] - frames.origin[second]
+        return np.einsum("cij,ci->cj", frames.axes[second], ways)
+
     def pose(self, posture: np.ndarray, number: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """Pose (4, 4) of a target's first frame in the world, and its Jacobian (6, d), world axes.
 

@@ -13,14 +13,16 @@ them at their farthest.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
+from multiarm.arms.arm import Arm
 from multiarm.arms.terms import ArmStructure
+from multiarm.assembly.arm_postures import NO_TURN, STARTS, apart_from, best_posture
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     TIE,
@@ -29,10 +31,11 @@ from multiarm.assembly.inverse_kinematics import (
     TreeKinematics,
     points_between,
 )
-from multiarm.assembly.kinematic_tree import Coupling, Ranges, Target, way_to
-from multiarm.assembly.postures import NO_TURN, STARTS, apart_from, best_posture
+from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target, way_to
 from multiarm.assembly.reaching import REACHED
-from multiarm.scene import ObjectSpec
+from multiarm.geometry.records import basis
+from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
+from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.faults import counted, shown
 
 # Connections of which a message tells how far they are from closed.
@@ -73,6 +76,42 @@ class RobotPostureSearch:
     body: ObjectSpec
     couplings: tuple[Coupling, ...] = ()
 
+    @classmethod
+    def of_robot(
+        cls, scene: Scene, joints: Sequence[JointSpec], arm: Arm, resolved: ResolvedRobot
+    ) -> RobotPostureSearch:
+        """The search that joints of a robot ask for, all of which have a place."""
+        number = {name: k for k, name in enumerate(arm.joint_names)}
+        return cls(
+            structure=arm.structure(),
+            targets={joint.connection: target_of(scene, joint, arm) for joint in joints},
+            limits=arm.position_limits,
+            written=resolved.posture,
+            base=arm.files.base,
+            base_joints=len(resolved.base_joints),
+            body=scene.object,
+            couplings=tuple(
+                Coupling(number[c.joint], number[c.leader], c.multiplier, c.offset)
+                for c in resolved.mimic
+            ),
+        )
+
+    @property
+    def longest(self) -> float:
+        """The longest stretch of links to a place, without the joints that move the base [m]."""
+        return self._lengths.longest
+
+    def distances(self, posture: np.ndarray) -> dict[str, float]:
+        """How far both frames of the connections are apart at a posture (n,), but for what is free.
+
+        In metres; motions along directions that a connection leaves free do not count.
+        """
+        search, _ = self._searches()[0]
+        gaps = search.shifts(posture)
+        for gap, target in zip(gaps, self.targets.values(), strict=True):
+            gap[[k for k in target.free if k < 3]] = 0.0
+        return dict(zip(self.targets, _lengths(gaps).tolist(), strict=True))
+
     def best(self, allowed: Callable[[np.ndarray], bool] | None = None) -> np.ndarray | None:
         """The best of the postures (n,) found that are ``allowed``, None where none is.
 
@@ -112,7 +151,8 @@ class RobotPostureSearch:
             if distance > reach * (1.0 + TIE):
                 return (
                     f"the place of {shown(name)} is out of reach: it is {distance:.3f} m from the "
-                    f"robot's first joint, and its links stretch to {reach:.3f} m"
+                    "first joint that moves its tip, and the links between stretch to "
+                    f"{reach:.3f} m"
                 )
         for pair in combinations(lengths.at_rest, 2):
             distance, reach = lengths.between(*pair)
@@ -182,6 +222,30 @@ class RobotPostureSearch:
             return apart(base, points, origins[high, 2])
 
         return clear
+
+
+def target_of(scene: Scene, joint: JointSpec, arm: Arm) -> Target:
+    """The two frames that a joint of a robot brings together, z the joint's axis."""
+    assert joint.at is not None, "the joint has a place"
+    turn = np.eye(4)
+    turn[:3, :3] = basis(joint.z_axis)
+    at_first = joint.on_first.matrix() @ joint.start_shift() @ turn
+    at_second = joint.at.matrix() @ turn
+    if joint.second == OBJECT:
+        at_second = scene.object.pose.matrix() @ at_second
+    first, second = (
+        _link_frame(arm, body, pose)
+        for body, pose in ((joint.first, at_first), (joint.second, at_second))
+    )
+    return Target(first, second, tuple(joint.free or ()))
+
+
+def _link_frame(arm: Arm, body: BodyName, pose: np.ndarray) -> LinkFrame:
+    if not body.is_link:  # it is at rest
+        return LinkFrame(-1, pose)
+    tip, frame = arm.tips[body.tip], np.eye(4)
+    frame[:3, :3], frame[:3, 3] = tip.rotation, tip.translation
+    return LinkFrame(tip.joint - 1, frame @ pose)
 
 
 class _Lengths:

@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from random_structures import pinocchio_model, random_parents, random_structure
+from refusals import refused
 from scipy.spatial.transform import Rotation
 
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.terms import ArmStructure
+from multiarm.assembly import postures as postures_module
+from multiarm.assembly.arm_postures import STARTS
 from multiarm.assembly.inverse_kinematics import TreeKinematics
 from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target
-from multiarm.assembly.postures import STARTS
+from multiarm.assembly.postures import find_postures
 from multiarm.assembly.reaching import REACHED
 from multiarm.assembly.robot_postures import ALL_WRITTEN, RobotPostureSearch
-from multiarm.scene import ObjectSpec
+from multiarm.errors import SceneError
+from multiarm.scene import ObjectSpec, parse_scene
+from multiarm.scene.robot_spec import resolve_robot
 from multiarm.scene.robots import find_robot
 
 FAR_OFF = ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose={"xyz": [0, 0, 50.0]})
@@ -423,3 +429,115 @@ def test_where_nothing_is_found_the_message_tells_the_gaps_and_what_to_do():
     moved[2, 3] = 0.1
     robot.structure.translations[0] += moved[:3, 3]
     assert robot.search(robot.holds([place], (3, 4, 5)), base=moved).best() is not None
+
+
+# --- in scenes ------------------------------------------------------------------------------------
+
+BAXTER = {"robot": "baxter", "tips": {"left": "left_gripper", "right": "right_gripper"}}
+BAR = {"mass": 2.0, "shape": {"box": [0.1, 0.5, 0.1]}, "pose": {"xyz": [0.65, 0.0, 0.2]}}
+
+
+def sides(**left) -> list[dict]:
+    """Welds to both ends of the bar, grippers pointing inwards, their axes z."""
+    ends = {"left": (0.25, [np.pi / 2, 0, 0]), "right": (-0.25, [-np.pi / 2, 0, 0])}
+    joints = [
+        {"arm": f"b/{tip}", "kind": "weld", "at": {"xyz": [0, y, 0], "rpy": rpy}}
+        for tip, (y, rpy) in ends.items()
+    ]
+    return [{**joints[0], **left}, joints[1]]
+
+
+def postures(joints: list[dict], body: dict = BAR, **robot) -> tuple[Arm, dict[str, np.ndarray]]:
+    spec = {key: v for key, v in {**BAXTER, "posture": "solve", **robot}.items() if v is not None}
+    scene = parse_scene({"object": body, "robots": {"b": spec}, "joints": joints})
+    resolved = resolve_robot(scene.robots["b"], scene.links_in_joints("b"))
+    base = scene.robots["b"].base.matrix()
+    files = ArmFiles(resolved.urdf, resolved.package_dirs, base, resolved.tips, resolved.locked)
+    arm = Arm("b", files)
+    return arm, find_postures(scene, {"b": arm}, {"b": resolved})
+
+
+@pytest.mark.parametrize("posture", ["solve", None])
+def test_a_robot_holds_an_object_with_both_tips(posture):
+    base = {"xyz": [0.0, 0.1, -0.1], "rpy": [0.0, 0.0, 0.2]}
+    arm, found = postures(sides(), posture=posture, base=base)
+    for tip, y, angle in (("left", 0.25, np.pi / 2), ("right", -0.25, -np.pi / 2)):
+        there = pin.SE3(pin.rpy.rpyToMatrix(angle, 0.0, 0.0), np.array([0.65, y, 0.2]))
+        np.testing.assert_allclose(arm.tip_pose(found["b"], tip), there.homogeneous, atol=1e-7)
+
+
+def test_connections_with_the_world_and_between_links_are_closed_too():
+    """The left tip holds on to the world; the right one turns about an axis of the left hand."""
+    joints = [
+        {"between": ["b/left", "world"], "kind": "ball", "at": {"xyz": [0.7, 0.3, 0.1]},
+         "at_first": {"xyz": [0, 0, 0.05]}},
+        {"between": ["b/right", "b/left"], "kind": "revolute", "at": {"xyz": [0, 0, 0.2]},
+         "axis": [1, 0, 0]},
+        {"arm": "b/right", "kind": "weld"},
+    ]  # fmt: skip
+    arm, found = postures(joints)
+    left, right = (arm.tip_pose(found["b"], tip) for tip in ("left", "right"))
+    np.testing.assert_allclose(left @ [0, 0, 0.05, 1], [0.7, 0.3, 0.1, 1], atol=1e-7)
+    between = np.linalg.solve(left, right)
+    np.testing.assert_allclose(between[:3, 3], [0, 0, 0.2], atol=1e-7)
+    np.testing.assert_allclose(between[:3, 0], X, atol=1e-7)
+
+
+def two_arms_in_a_plane(folder) -> Path:
+    """Bars of 0.5, 0.5 and 0.1 m on either side of a base; ranges prefer elbows turned inwards."""
+    text = "<link name='base'/>"
+    for side, sign in (("l", 1), ("r", -1)):
+        ranges = ([-1.8, 1.8], sorted([-2.2 * sign, 2.9 * sign]), [-3.0, 3.0])
+        for k, length in enumerate((0.5, 0.5, 0.1)):
+            lower, upper = ranges[k]
+            text += (
+                f"<link name='{side}{k}'><inertial><mass value='1'/><inertia ixx='1' iyy='1' "
+                f"izz='1' ixy='0' ixz='0' iyz='0'/></inertial><collision><origin "
+                f"xyz='{length / 2} 0 0'/><geometry><box size='{length} 0.04 0.04'/></geometry>"
+                f"</collision></link><joint name='{side}_{k}' type='revolute'>"
+                f"<parent link='{f'{side}{k - 1}' if k else 'base'}'/><child link='{side}{k}'/>"
+                f"<origin xyz='{0.5 if k else 0} {0 if k else 0.25 * sign} 0'/><axis xyz='0 0 1'/>"
+                f"<limit lower='{lower}' upper='{upper}' effort='1' velocity='1'/></joint>"
+            )
+    path = folder / "arms.urdf"
+    path.write_text(f"<robot name='arms'>{text}</robot>")
+    return path
+
+
+def test_links_on_two_branches_keep_off_each_other(tmp_path):
+    """Closed form: with both elbows inwards, as ranges prefer, the forearms cross."""
+    tip = {"kind": "weld", "at_first": {"xyz": [0.1, 0, 0]}}
+    joints = [
+        {**tip, "arm": "b/left", "at": {"xyz": [0, 0.2, 0]}},
+        {**tip, "arm": "b/right", "at": {"xyz": [0, -0.2, 0]}},
+    ]
+    body = {"mass": 1.0, "shape": {"sphere": 0.01}, "pose": {"xyz": [0.7, 0.0, 0.0]}}
+    urdf = two_arms_in_a_plane(tmp_path)
+    robot = {"urdf": urdf, "robot": None, "tips": {"left": "l2", "right": "r2"}}
+    arm, found = postures(joints, body, **robot)
+    elbows = {name: arm.skeleton(found["b"])[k, 1] for k, name in enumerate(arm.joint_names)}
+    inwards = elbows["l_1"] < 0.0, elbows["r_1"] > 0.0
+    assert inwards != (True, True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(postures_module, "OVERLAP", 1.0)
+        arm, careless = postures(joints, body, **robot)
+    elbows = {name: arm.skeleton(careless["b"])[k, 1] for k, name in enumerate(arm.joint_names)}
+    assert elbows["l_1"] < 0.0 < elbows["r_1"]
+
+
+def test_a_robot_that_cannot_hold_its_places_hears_why():
+    far = sides(at={"xyz": [0.0, 4.0, 0.0]})
+    with refused(SceneError, "$.robots.b.posture") as caught:
+        postures(far)
+    (text,) = caught.value.faults
+    assert "'b/left'" in text and "$.joints[0].at, $.joints[1].at" in text
+    with refused(SceneError, "$.robots.b.posture") as caught:
+        postures([{"arm": "b/left", "kind": "weld"}])
+    assert "$.joints[0].at" in caught.value.faults[0]
+
+
+def test_a_posture_that_is_written_stays():
+    assert postures(sides(), posture={"left_s0": 0.1})[1] == {}
+    arm, near = postures(sides())
+    values = dict(zip(arm.joint_names, near["b"].tolist(), strict=True))
+    assert postures(sides(), posture=values)[1] == {}
