@@ -13,18 +13,18 @@ from random_structures import pinocchio_model, random_parents, random_structure
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
+import multiarm as ma
 from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.arms.terms import ArmStructure
 from multiarm.assembly import postures as postures_module
 from multiarm.assembly.arm_postures import STARTS
 from multiarm.assembly.inverse_kinematics import TreeKinematics
 from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target
-from multiarm.assembly.postures import find_postures
 from multiarm.assembly.reaching import REACHED
 from multiarm.assembly.robot_postures import ALL_WRITTEN, RobotPostureSearch
+from multiarm.assembly.robots import load_robots
 from multiarm.errors import SceneError
-from multiarm.scene import ObjectSpec, parse_scene
-from multiarm.scene.robot_spec import resolve_robot
+from multiarm.scene import ObjectSpec, Scene, parse_scene
 from multiarm.scene.robots import find_robot
 
 FAR_OFF = ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose={"xyz": [0, 0, 50.0]})
@@ -447,23 +447,22 @@ def sides(**left) -> list[dict]:
     return [{**joints[0], **left}, joints[1]]
 
 
-def postures(joints: list[dict], body: dict = BAR, **robot) -> tuple[Arm, dict[str, np.ndarray]]:
-    spec = {key: v for key, v in {**BAXTER, "posture": "solve", **robot}.items() if v is not None}
-    scene = parse_scene({"object": body, "robots": {"b": spec}, "joints": joints})
-    resolved = resolve_robot(scene.robots["b"], scene.links_in_joints("b"))
-    base = scene.robots["b"].base.matrix()
-    files = ArmFiles(resolved.urdf, resolved.package_dirs, base, resolved.tips, resolved.locked)
-    arm = Arm("b", files)
-    return arm, find_postures(scene, {"b": arm}, {"b": resolved})
+def robot_scene(joints: list[dict], body: dict = BAR, **robot) -> Scene:
+    return parse_scene({"object": body, "robots": {"b": {**BAXTER, **robot}}, "joints": joints})
 
 
-@pytest.mark.parametrize("posture", ["solve", None])
+def posture_in(scene: Scene) -> tuple[Arm, np.ndarray]:
+    robots = load_robots(scene)
+    return robots.arms["b"], robots.postures["b"]
+
+
+@pytest.mark.parametrize("posture", [{"posture": "solve"}, {}], ids=["asked for", "by default"])
 def test_a_robot_holds_an_object_with_both_tips(posture):
     base = {"xyz": [0.0, 0.1, -0.1], "rpy": [0.0, 0.0, 0.2]}
-    arm, found = postures(sides(), posture=posture, base=base)
+    arm, q = posture_in(robot_scene(sides(), base=base, **posture))
     for tip, y, angle in (("left", 0.25, np.pi / 2), ("right", -0.25, -np.pi / 2)):
         there = pin.SE3(pin.rpy.rpyToMatrix(angle, 0.0, 0.0), np.array([0.65, y, 0.2]))
-        np.testing.assert_allclose(arm.tip_pose(found["b"], tip), there.homogeneous, atol=1e-7)
+        np.testing.assert_allclose(arm.tip_pose(q, tip), there.homogeneous, atol=1e-7)
 
 
 def test_connections_with_the_world_and_between_links_are_closed_too():
@@ -475,8 +474,8 @@ def test_connections_with_the_world_and_between_links_are_closed_too():
          "axis": [1, 0, 0]},
         {"arm": "b/right", "kind": "weld"},
     ]  # fmt: skip
-    arm, found = postures(joints)
-    left, right = (arm.tip_pose(found["b"], tip) for tip in ("left", "right"))
+    arm, q = posture_in(robot_scene(joints, posture="solve"))
+    left, right = (arm.tip_pose(q, tip) for tip in ("left", "right"))
     np.testing.assert_allclose(left @ [0, 0, 0.05, 1], [0.7, 0.3, 0.1, 1], atol=1e-7)
     between = np.linalg.solve(left, right)
     np.testing.assert_allclose(between[:3, 3], [0, 0, 0.2], atol=1e-7)
@@ -513,31 +512,42 @@ def test_links_on_two_branches_keep_off_each_other(tmp_path):
     ]
     body = {"mass": 1.0, "shape": {"sphere": 0.01}, "pose": {"xyz": [0.7, 0.0, 0.0]}}
     urdf = two_arms_in_a_plane(tmp_path)
-    robot = {"urdf": urdf, "robot": None, "tips": {"left": "l2", "right": "r2"}}
-    arm, found = postures(joints, body, **robot)
-    elbows = {name: arm.skeleton(found["b"])[k, 1] for k, name in enumerate(arm.joint_names)}
+    robot = {"urdf": urdf, "tips": {"left": "l2", "right": "r2"}, "posture": "solve"}
+    scene = parse_scene({"object": body, "robots": {"b": robot}, "joints": joints})
+    arm, q = posture_in(scene)
+    elbows = {name: arm.skeleton(q)[k, 1] for k, name in enumerate(arm.joint_names)}
     inwards = elbows["l_1"] < 0.0, elbows["r_1"] > 0.0
     assert inwards != (True, True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(postures_module, "OVERLAP", 1.0)
-        arm, careless = postures(joints, body, **robot)
-    elbows = {name: arm.skeleton(careless["b"])[k, 1] for k, name in enumerate(arm.joint_names)}
+        arm, q = posture_in(scene)
+    elbows = {name: arm.skeleton(q)[k, 1] for k, name in enumerate(arm.joint_names)}
     assert elbows["l_1"] < 0.0 < elbows["r_1"]
 
 
 def test_a_robot_that_cannot_hold_its_places_hears_why():
     far = sides(at={"xyz": [0.0, 4.0, 0.0]})
     with refused(SceneError, "$.robots.b.posture") as caught:
-        postures(far)
+        posture_in(robot_scene(far))
     (text,) = caught.value.faults
     assert "'b/left'" in text and "$.joints[0].at, $.joints[1].at" in text
     with refused(SceneError, "$.robots.b.posture") as caught:
-        postures([{"arm": "b/left", "kind": "weld"}])
+        posture_in(robot_scene([{"arm": "b/left", "kind": "weld"}], posture="solve"))
     assert "$.joints[0].at" in caught.value.faults[0]
 
 
 def test_a_posture_that_is_written_stays():
-    assert postures(sides(), posture={"left_s0": 0.1})[1] == {}
-    arm, near = postures(sides())
-    values = dict(zip(arm.joint_names, near["b"].tolist(), strict=True))
-    assert postures(sides(), posture=values)[1] == {}
+    arm, q = posture_in(robot_scene(sides(), posture={"left_s0": 0.1}))
+    assert np.array_equal(q, 0.1 * (np.array(arm.joint_names) == "left_s0"))
+
+
+def test_a_robot_on_wheels_drives_to_an_object_and_stands_closed():
+    """Compiled as a scene: nothing is left to assemble, wherever its base is written."""
+    tips = {"left": "hand_left_tool_link", "right": "hand_right_tool_link"}
+    wheels = {"xyz": [-3.0, 1.0, 0.0], "rpy": [0, 0, 0.7], "moves": ["x", "y", "yaw"]}
+    scene = robot_scene(sides(), robot="tiago_dual", tips=tips, base=wheels)
+    system = ma.compile_system(scene)
+    report = system.start_report
+    assert max(report.gaps.values()) < CLOSED and report.joint_change < 10.0 * CLOSED
+    again = ma.compile_system(scene).initial_state()
+    assert np.array_equal(again.position, system.initial_state().position)
