@@ -12,6 +12,7 @@ import pytest
 from random_structures import pinocchio_model, random_parents, random_structure
 from refusals import refused
 from scipy.spatial.transform import Rotation
+from tree_scenes import gripper_loops
 
 import multiarm as ma
 from multiarm.arms.arm import Arm, ArmFiles
@@ -480,6 +481,36 @@ def test_connections_with_the_world_and_between_links_are_closed_too():
     between = np.linalg.solve(left, right)
     np.testing.assert_allclose(between[:3, 3], [0, 0, 0.2], atol=1e-7)
     np.testing.assert_allclose(between[:3, 0], X, atol=1e-7)
+
+
+def test_a_gripper_of_linkages_closes_on_what_it_holds():
+    """Closed form: its loops are closed, and its drivers agree, where all joints turn equally.
+
+    The right pad slides on its plane: its place is beside where it can be.
+    """
+    name, position = "four_bar_gripper", 0.3
+    whole = pin.buildModelFromUrdf(str(find_robot(name).urdf))
+    data = whole.createData()
+    pin.framesForwardKinematics(whole, data, np.full(6, position))
+    places = {side: data.oMf[whole.getFrameId(f"{side}_pad")] for side in ("left", "right")}
+    beside = pin.SE3(np.eye(3), np.array([0.004, -0.006, 0.0]))
+    places["right"] = places["right"] * beside
+    joints = [
+        {
+            "arm": f"b/{side}",
+            "kind": kind,
+            "at": {
+                "xyz": places[side].translation.tolist(),
+                "quaternion_xyzw": pin.Quaternion(places[side].rotation).coeffs().tolist(),
+            },
+        }
+        for side, kind in (("left", "weld"), ("right", "planar"))
+    ]
+    body = {"mass": 0.1, "shape": {"sphere": 0.001}}
+    tips = {"left": "left_pad", "right": "right_pad"}
+    scene = robot_scene([*joints, *gripper_loops("b")], body, robot=name, tips=tips)
+    _, q = posture_in(scene)
+    np.testing.assert_allclose(q, np.full(6, position), atol=1e-6)
 
 
 def two_arms_in_a_plane(folder) -> Path:
