@@ -22,6 +22,7 @@ from itertools import islice
 import numpy as np
 
 from multiarm.arms.arm import Arm
+from multiarm.assembly.arm_postures import PostureSearch, clear_of, joint_places
 from multiarm.assembly.collisions import Surroundings, nearest
 from multiarm.assembly.inverse_kinematics import (
     BASE_JOINTS,
@@ -31,13 +32,7 @@ from multiarm.assembly.inverse_kinematics import (
     clearance,
     points_on_links,
 )
-from multiarm.assembly.postures import (
-    KEEPS_OFF,
-    OVERLAP,
-    PostureSearch,
-    clear_of,
-    joint_places,
-)
+from multiarm.assembly.postures import KEEPS_OFF, OVERLAP
 from multiarm.errors import SceneError
 from multiarm.scene import BaseSpec, JointSpec, ObjectSpec, Scene
 from multiarm.scene.faults import fault_at, listed

@@ -3,9 +3,9 @@
 Links and objects count with their convex hulls: a URDF's collision shapes (where it has none, the
 visual ones), a box, sphere, cylinder or hull as it is, a mesh by its hull.  What holds the object
 touches it by design: the hand, that is, the last link and those within a tenth of the arm's length
-of the joint, is not compared with the object, nor with other hands.  Links of one arm are not
-compared with each other, nor what two arms of one robot have in common; the ground is no shape
-either.
+of the joint, is not compared with the object, nor with other hands.  Links on the way from the base
+to each other are not compared with each other, nor the first links of two branches, nor what two
+arms of one robot have in common; the ground is no shape either.
 """
 
 from __future__ import annotations
@@ -104,13 +104,21 @@ class Surroundings:
 
     def __init__(self, scene: Scene, arms: Mapping[str, Arm]) -> None:
         self._arms = arms
-        places = {joint.arm: joint.on_first.matrix()[:3, 3] for joint in scene.joints}
+        places: dict[str, dict[str, np.ndarray]] = {name: {} for name in arms}
+        for joint in scene.joints:
+            at = np.eye(4) if joint.at is None else joint.at.matrix()
+            for body, pose in ((joint.first, joint.on_first.matrix()), (joint.second, at)):
+                if body.robot in arms:
+                    places[body.robot].setdefault(body.tip, pose[:3, 3])
         self._links = {name: _links(arm, places[name]) for name, arm in arms.items()}
         self._object = object_hull(scene.object)
         if self._object is not None:
             self._object.computeLocalAABB()
         self._object_pose = pin.SE3(scene.object.pose.matrix())
-        self._robots = {name: scene.group_of(name) for name in arms}
+        self._robots = {
+            name: scene.group_of(name) if name in scene.arms else arm for name, arm in arms.items()
+        }
+        self._branches = {name: _on_two_branches(arm.model) for name, arm in arms.items()}
 
     def placed(
         self, name: str, posture: np.ndarray, standing: bool, shift: np.ndarray | None = None
@@ -134,6 +142,14 @@ class Surroundings:
         ]
         return _placed(pairs)
 
+    def nearest(self, name: str, posture: np.ndarray, obstacles: Placed) -> NearestPair:
+        """The nearest pair of a moving link and an obstacle, or a link on another branch."""
+        links = self.placed(name, posture, standing=False)
+        joints = [solid.joint for solid in links.solids]
+        branches = np.triu(self._branches[name][np.ix_(joints, joints)])  # each pair once
+        pairs = nearest(links, obstacles), nearest(links, links, branches)
+        return min(pairs, key=lambda pair: pair.distance)
+
     def obstacles(self, name: str, postures: Mapping[str, np.ndarray]) -> Placed:
         """The object, and the links of all other arms that have a posture."""
         pairs = []
@@ -148,12 +164,18 @@ class Surroundings:
         return _placed(pairs)
 
 
-def nearest(links: Placed, obstacles: Placed) -> NearestPair:
-    """The nearest pair of a link and an obstacle, up to the horizon."""
+def nearest(links: Placed, obstacles: Placed, compared: np.ndarray | bool = True) -> NearestPair:
+    """The nearest pair of a link and an obstacle, up to the horizon.
+
+    Parameters
+    ----------
+    compared : ndarray of bool, shape (links, obstacles)
+        Which pairs may be it; by default all.
+    """
     ways = links.centres[:, None] - obstacles.centres
     gaps = np.linalg.norm(ways, axis=2) - links.radii[:, None] - obstacles.radii
     pair = NearestPair(HORIZON)
-    for i, j in np.argwhere(gaps < HORIZON):
+    for i, j in np.argwhere((gaps < HORIZON) & compared):
         link, obstacle = links.solids[i], obstacles.solids[j]
         if (link.holds and obstacle.holds) or gaps[i, j] >= pair.distance:
             continue
@@ -168,6 +190,18 @@ def nearest(links: Placed, obstacles: Placed) -> NearestPair:
         if distance < pair.distance:
             pair = NearestPair(distance, link.name, obstacle.name)
     return pair
+
+
+def _on_two_branches(model: pin.Model) -> np.ndarray:
+    """Whether the links of two joints are on two branches of a tree, but not the first of both.
+
+    Shape (n + 1, n + 1), joints counted as Pinocchio does.
+    """
+    parents = np.array([*model.parents])
+    carried = np.eye(parents.size, dtype=bool)  # a joint by another one, or it itself
+    for joint, parent in enumerate(parents[1:], 1):
+        carried[joint] |= carried[parent]
+    return ~(carried | carried.T | (parents[:, None] == parents))
 
 
 def object_hull(body: ObjectSpec) -> Any:
@@ -200,18 +234,25 @@ def _hull(points: np.ndarray) -> Any:
     return coal.Convex(vertices, faces)
 
 
-def _links(arm: Arm, place: np.ndarray) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
-    """The shapes of an arm's links; ``place`` (3,) is where its tip holds the object [m]."""
-    geometry = arm.collision_model()
-    levers = arm.levers(place)
-    last = arm.tip.joint
-    hand = {last} | {k + 1 for k in range(last) if levers[k] <= HAND * np.max(levers)}
+def _hand(arm: Arm, tip: str, place: np.ndarray) -> set[int]:
+    """The joints, Pinocchio's numbers, of the hand that holds something at a place (3,) [m]."""
+    end, levers = arm.tips[tip], arm.levers(place, tip)
+    longest = np.max(levers[end.chain], initial=0.0)
+    return {end.joint} | {int(k) + 1 for k in end.chain if levers[k] <= HAND * longest}
+
+
+def _links(
+    arm: Arm, places: Mapping[str, np.ndarray]
+) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
+    """The shapes of a robot's links; ``places`` (3,) are where its tips hold something [m]."""
+    geometry, noun = arm.collision_model(), "arm" if "" in arm.tips else "robot"
+    hand = {joint for tip, place in places.items() for joint in _hand(arm, tip, place)}
     solids: list[Solid] = []
     lost: dict[str, None] = {}  # each file once
     unreadable: list[str] = []
     for item in geometry.geometryObjects.tolist():
         shape, link = item.geometry, arm.model.frames[item.parentFrame].name
-        name = f"link {link!r} of arm {arm.name!r}"
+        name = f"link {link!r} of {noun} {arm.name!r}"
         if isinstance(shape, coal.BVHModelBase):
             path = Path(item.meshPath)
             stamp = path.stat().st_mtime_ns if path.is_file() else 0

@@ -11,27 +11,43 @@ travels of all sliding joints.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy as shallow_copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
 from multiarm.arms.chain import ChainJoint, require_chain
-from multiarm.arms.terms import ArmStructure
-from multiarm.assembly.reaching import REACHED, chain_to, reach_place, write_pose
+from multiarm.arms.terms import POSE_WIDTH, ArmStructure, LinkPose
+from multiarm.assembly.kinematic_tree import (
+    MARGIN,
+    Coupling,
+    LinkFrame,
+    Ranges,
+    Target,
+    kinematic_tree,
+    with_places,
+)
+from multiarm.assembly.reaching import (
+    COLUMN_WIDTH,
+    REACHED,
+    Tree,
+    reach_places,
+    write_jacobian,
+    write_poses,
+)
 from multiarm.jit.rows import fields_of
 from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
 # Length that compares shifts with turns [m]: about half an arm.
 LENGTH = 0.5
-# Joints without limits are sought within a turn either way, all others this far inside them [rad].
-TURN, MARGIN = math.pi, 0.05
 # Qualities closer than this part are equal, as those of postures that mirror each other.
 TIE = 1e-6
+# Part of the largest singular value below which another one is zero.
+VANISHES = 1e-9
 # Joints should keep this far from things that are in the way [m].
 APART = 0.1
 # Starts of a search of the whole ranges of the joints, which ends after so many postures.
@@ -69,24 +85,217 @@ class Reach:
 
 @dataclass(frozen=True)
 class Miss:
-    """The nearest posture to a place that is out of reach.
+    """The nearest posture to places that are out of reach.
 
     Attributes
     ----------
     posture : ndarray, shape (n,)
         [rad or m]
-    shift : ndarray, shape (3,)
-        From the tip there to the wanted place, world axes [m].
-    turn : float
-        Angle between the orientations there [rad].
+    shifts : ndarray, shape (C, 3)
+        From the first frame of each target to the second, world axes [m].
+    turns : ndarray, shape (C,)
+        Angles between their orientations [rad].
     """
 
     posture: np.ndarray
-    shift: np.ndarray
-    turn: float
+    shifts: np.ndarray
+    turns: np.ndarray
 
 
-class InverseKinematics:
+class TreeKinematics:
+    """The search for postures of a robot, a tree of joints, that reach all its targets at once.
+
+    Parameters
+    ----------
+    structure : ArmStructure
+    targets : sequence of Target
+    ranges : Ranges
+        Of all joints.
+    couplings : sequence of Coupling
+        Joints that follow others.
+    length : float
+        Compares shifts with turns [m].
+    rest : ndarray, shape (n,), optional
+        Where joints stay that move no target [rad or m].
+
+    Attributes
+    ----------
+    targets : tuple of Target
+    lower, upper : ndarray, shape (d,)
+        Bounds of the search for the joints that follow none [rad, m].
+    """
+
+    def __init__(
+        self,
+        structure: ArmStructure,
+        targets: Sequence[Target],
+        ranges: Ranges,
+        couplings: Sequence[Coupling] = (),
+        length: float = LENGTH,
+        rest: np.ndarray | None = None,
+    ) -> None:
+        self.targets, self._length = tuple(targets), length
+        self._set_tree(kinematic_tree(structure, targets, couplings))
+        ranges = ranges.of_independent(self._tree, rest)
+        self.lower, self.upper = ranges.lower, ranges.upper
+        self._limited, self._margin = ranges.limited, ranges.margin
+
+    def _set_tree(self, tree: Tree) -> None:
+        at_rest = [target.second is None for target in self.targets]
+        self._tree, self._at_rest = tree, tree.second[at_rest]
+
+    def search(
+        self,
+        places: Sequence[np.ndarray],
+        rng: np.random.Generator,
+        starts: int = 24,
+        clear: Callable[[np.ndarray, int], float] | None = None,
+        allowed: Callable[[np.ndarray, int], bool] | None = None,
+    ) -> Reach | None:
+        """The best posture found that reaches places, and then others.
+
+        Parameters
+        ----------
+        places : sequence of ndarray, shape (..., 4, 4)
+            Places in the world of the targets at rest; the second are reached from the posture at
+            the first.
+        rng : numpy.random.Generator
+            Where the search starts.
+        starts : int
+            How many postures the search begins at.
+        clear : callable, optional
+            Of a posture (n,) and the number of the places: a factor on the quality, 1 where the
+            robot is out of the way of everything, less where it is not.
+        allowed : callable, optional
+            Of a posture (n,) and the number of the places: whether the robot may have it there.
+
+        Returns
+        -------
+        Reach or None
+            None where no start leads to a posture that reaches all places.
+        """
+        best: Reach | None = None
+        for course in self.courses(places, rng, starts):
+            if allowed is not None and not all(allowed(q, k) for k, q in enumerate(course)):
+                continue
+            reach = self._judge(course, clear)
+            if best is None or reach.quality > best.quality * (1.0 + TIE):
+                best = reach
+        return best
+
+    def courses(
+        self, places: Sequence[np.ndarray], rng: np.random.Generator, starts: int
+    ) -> Iterator[np.ndarray]:
+        """Postures (K, n) that reach places (..., 4, 4) one after the other, from all starts."""
+        trees = [with_places(self._tree, self._at_rest, place) for place in places]
+        count = 0
+        for _ in range(starts):
+            course = self._follow(rng.uniform(self.lower, self.upper), trees)
+            if course is not None:
+                yield course
+                count += 1
+            if self._margin == 0.0 and count == WHOLE_POSTURES:
+                return
+
+    def nearest(self, place: np.ndarray, rng: np.random.Generator, starts: int = 24) -> Miss:
+        """The nearest posture found to places (..., 4, 4) that none reaches."""
+        tree = with_places(self._tree, self._at_rest, place)
+        ends = [self._solve(tree, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
+        x, _ = min(ends, key=lambda end: end[1])
+        poses, _ = self._poses(tree, x)
+        frames = fields_of(LinkPose, poses)
+        pairs = zip(frames.axes[tree.first], frames.axes[tree.second], strict=True)
+        turns = [difference(*map(matrix_to_quaternion, pair)) for pair in pairs]
+        shifts = frames.origin[tree.second] - frames.origin[tree.first]
+        return Miss(self._all_joints(x), shifts, np.linalg.norm(turns, axis=1))
+
+    def shifts(self, posture: np.ndarray) -> np.ndarray:
+        """From the second frame of each target to the first, axes of the second (C, 3) [m]."""
+        poses, _ = self._poses(self._tree, posture[self._tree.independent])
+        frames, first, second = fields_of(LinkPose, poses), self._tree.first, self._tree.second
+        ways = frames.origin[first] - frames.origin[second]
+        return np.einsum("cij,ci->cj", frames.axes[second], ways)
+
+    def pose(self, posture: np.ndarray, number: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (4, 4) of a target's first frame in the world, and its Jacobian (6, d), world axes.
+
+        The Jacobian is that of its motion seen from the link of the second frame.
+        """
+        x = np.asarray(posture, dtype=float)[self._tree.independent]
+        poses, columns = self._poses(self._tree, x)
+        frame, pose = fields_of(LinkPose, poses[self._tree.first[number]]), np.eye(4)
+        pose[:3, :3], pose[:3, 3] = frame.axes, frame.origin
+        J = np.empty((6, x.size))
+        write_jacobian(self._tree, number, poses, columns, J)
+        return pose, J
+
+    def origins(self, posture: np.ndarray) -> np.ndarray:
+        """Origins of all joints in the world (n, 3) [m]."""
+        x = np.asarray(posture, dtype=float)[self._tree.independent]
+        poses, columns = self._poses(self._tree, x)
+        return fields_of(LinkPose, poses).origin[: len(columns)]
+
+    def _poses(self, tree: Tree, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of joints and frames, and the joints' columns, as rows of the kernel."""
+        poses = np.empty((tree.parents.size, POSE_WIDTH))
+        columns = np.empty((tree.leaders.size, COLUMN_WIDTH))
+        write_poses(tree, x, poses, columns)
+        return poses, columns
+
+    @cached_property
+    def rank(self) -> int:
+        """How many directions of its errors the robot can move along, but for special postures.
+
+        Fewer than all where it is a mechanism in a plane, or has too few joints.
+        """
+        rng, ranks = np.random.default_rng(0), [1]
+        for x in rng.uniform(self.lower, self.upper, (4, self.lower.size)):
+            values = self._singular_values(self._all_joints(x))
+            ranks.append(int(np.sum(values > VANISHES * np.max(values, initial=0.0))))
+        return max(ranks)
+
+    def _singular_values(self, posture: np.ndarray) -> np.ndarray:
+        """Of the Jacobian of what counts, lengths over that of the search; largest first."""
+        rows = []
+        for number, target in enumerate(self.targets):
+            pose, J = self.pose(posture, number)
+            J = (pose[:3, :3].T @ J.reshape(2, 3, -1)).reshape(6, -1)
+            J[:3] /= self._length
+            rows.append(J[target.counted])
+        return np.linalg.svd(np.vstack(rows), compute_uv=False)
+
+    def _follow(self, start: np.ndarray, trees: Sequence[Tree]) -> np.ndarray | None:
+        course = []
+        for tree in trees:
+            start, error = self._solve(tree, start)
+            if not error < REACHED:
+                return None
+            course.append(self._all_joints(start))
+        return np.array(course)
+
+    def _solve(self, tree: Tree, start: np.ndarray) -> tuple[np.ndarray, float]:
+        """Numbers ``x`` (d,), and the largest component of their error."""
+        x = start.copy()
+        return x, reach_places(tree, self.lower, self.upper, self._length, x)
+
+    def _all_joints(self, x: np.ndarray) -> np.ndarray:
+        """Positions of all joints (n,)."""
+        return self._tree.multipliers * x[self._tree.leaders] + self._tree.offsets
+
+    def _judge(self, course: np.ndarray, clear: Callable[[np.ndarray, int], float] | None) -> Reach:
+        dexterity, clearance = np.inf, 1.0
+        for number, q in enumerate(course):
+            if clear is not None:
+                clearance = min(clearance, clear(q, number))
+            dexterity = min(dexterity, float(self._singular_values(q)[self.rank - 1]))
+        half = np.maximum(0.5 * (self.upper - self.lower), 1e-9)
+        x = course[:, self._tree.independent]
+        room = (np.minimum(x - self.lower, self.upper - x) + (MARGIN - self._margin)) / half
+        room = float(np.min(room[:, self._limited], initial=1.0))
+        return Reach(course, dexterity, room, clearance)
+
+
+class InverseKinematics(TreeKinematics):
     """The search for postures of one arm.
 
     Parameters
@@ -115,16 +324,19 @@ class InverseKinematics:
         frame: np.ndarray | None = None,
         to_limits: bool = False,
     ) -> None:
-        self.arm = arm
+        self.arm, self.free = arm, tuple(free)
         self._structure, tip = require_chain(arm.structure(), arm.tip.joint), np.eye(4)
         tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
-        self._end = end = tip if frame is None else tip @ frame
-        self._to_limits = to_limits
-        self._length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
-        self.lower, self.upper = _bounds(arm, self._structure.slides if to_limits else None)
-        self.free = tuple(free)
-        self._counted = np.setdiff1d(np.arange(6), free)
-        self._chain = chain_to(self._structure, end)
+        end = tip if frame is None else tip @ frame
+        length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
+        ranges = Ranges.of_joints(arm.position_limits, self._structure.slides, to_limits)
+        target = Target(LinkFrame(arm.tip.joint - 1, end), free=self.free)
+        super().__init__(self._structure, [target], ranges, length=length)
+
+    @cached_property
+    def rank(self) -> int:
+        """All directions count: an arm that moves in a plane is singular everywhere."""
+        return min(self._tree.counted.size, self.lower.size)
 
     def farther_than_it_reaches(self, place: np.ndarray) -> tuple[float, float] | None:
         """Distance of a place from the first joint, and the reach that it exceeds [m].
@@ -132,13 +344,14 @@ class InverseKinematics:
         None where the place may be within reach: the reach is that of a chain whose every link
         points the same way, with all sliding joints at their farthest.
         """
-        joints = fields_of(ChainJoint, self._chain)
-        slides = joints.slides[:-1] != 0.0
+        joints, n = fields_of(ChainJoint, self._tree.joints), self._tree.leaders.size
+        slides = joints.slides[:n] != 0.0
         travels = np.maximum(np.abs(self.lower), np.abs(self.upper))[slides]
-        links = np.linalg.norm(joints.offset[1:], axis=1)
+        links = np.linalg.norm(joints.offset[1 : n + 1], axis=1)
         reach = float(np.sum(links) + np.sum(travels))
         shift = place[:3, :3].T @ (place[:3, 3] - joints.offset[0])
-        distance = float(np.linalg.norm(shift[self._counted[self._counted < 3]]))
+        counted = self.targets[0].counted
+        distance = float(np.linalg.norm(shift[counted[counted < 3]]))
         return (distance, reach) if distance > reach * (1.0 + TIE) else None
 
     def on_moving_base(
@@ -175,116 +388,16 @@ class InverseKinematics:
         mount[:3, :3], mount[:3, 3] = structure.rotations[0], structure.translations[0]
         frames.append(frame @ np.linalg.solve(self.arm.files.base, mount))
         slides = [k < 3 for k in BASE_JOINTS if k in varied]
-        search._structure = _on_joints(structure, slides, axes, np.array(frames))
-        search._chain = chain_to(search._structure, self._end)
+        moved = _on_joints(structure, slides, axes, np.array(frames))
+        (target,) = self.targets
+        tip = LinkFrame(moved.parents.size - 1, target.first.pose)
+        search.targets = (replace(target, first=tip),)
+        search._set_tree(kinematic_tree(moved, search.targets))
         lower, upper = np.transpose(ranges)
+        search._limited = np.append(np.ones(len(ranges), dtype=bool), self._limited)
         search.lower = np.concatenate([lower, self.lower])
         search.upper = np.concatenate([upper, self.upper])
         return search
-
-    def search(
-        self,
-        places: Sequence[np.ndarray],
-        rng: np.random.Generator,
-        starts: int = 24,
-        clear: Callable[[np.ndarray, int], float] | None = None,
-        allowed: Callable[[np.ndarray, int], bool] | None = None,
-    ) -> Reach | None:
-        """The best posture found that reaches a place, and then others.
-
-        Parameters
-        ----------
-        places : sequence of ndarray, shape (4, 4)
-            Poses of the frame in the world; the second is reached from the posture at the first.
-        rng : numpy.random.Generator
-            Where the search starts.
-        starts : int
-            How many postures the search begins at.
-        clear : callable, optional
-            Of a posture (n,) and the number of the place: a factor on the quality, 1 where the arm
-            is out of the way of everything, less where it is not.
-        allowed : callable, optional
-            Of a posture (n,) and the number of the place: whether the arm may have it there.
-
-        Returns
-        -------
-        Reach or None
-            None where no start leads to a posture that reaches all places.
-        """
-        best: Reach | None = None
-        for course in self.courses(places, rng, starts):
-            if allowed is not None and not all(allowed(q, k) for k, q in enumerate(course)):
-                continue
-            reach = self._judge(course, clear)
-            if best is None or reach.quality > best.quality * (1.0 + TIE):
-                best = reach
-        return best
-
-    def courses(
-        self, places: Sequence[np.ndarray], rng: np.random.Generator, starts: int
-    ) -> Iterator[np.ndarray]:
-        """Postures (K, n) that reach places (4, 4), one after the other, from several starts."""
-        count = 0
-        for _ in range(starts):
-            course = self._follow(rng.uniform(self.lower, self.upper), places)
-            if course is not None:
-                yield course
-                count += 1
-            if self._to_limits and count == WHOLE_POSTURES:
-                return
-
-    def nearest(self, place: np.ndarray, rng: np.random.Generator, starts: int = 24) -> Miss:
-        """The nearest posture found to a place that none reaches."""
-        ends = [self._solve(place, rng.uniform(self.lower, self.upper)) for _ in range(starts)]
-        posture, _ = min(ends, key=lambda end: end[1])
-        pose, _ = self.pose(posture)
-        turn = difference(*(matrix_to_quaternion(X[:3, :3]) for X in (pose, place)))
-        return Miss(posture, place[:3, 3] - pose[:3, 3], float(np.linalg.norm(turn)))
-
-    def pose(self, posture: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pose (4, 4) of the frame in the world, and its Jacobian (6, n), world axes."""
-        pose, J = np.eye(4), np.zeros((6, len(posture)))
-        write_pose(self._chain, np.array(posture, dtype=float), pose, J)
-        return pose, J
-
-    def _follow(self, start: np.ndarray, places: Sequence[np.ndarray]) -> np.ndarray | None:
-        course = []
-        for place in places:
-            start, error = self._solve(place, start)
-            if not error < REACHED:
-                return None
-            course.append(start)
-        return np.array(course)
-
-    def _solve(self, place: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, float]:
-        """A posture, and the largest component of its error."""
-        q = start.copy()
-        error = reach_place(
-            self._chain,
-            np.ascontiguousarray(place),
-            self._counted,
-            self.lower,
-            self.upper,
-            self._length,
-            q,
-        )
-        return q, error
-
-    def _judge(self, course: np.ndarray, clear: Callable[[np.ndarray, int], float] | None) -> Reach:
-        dexterity, clearance = np.inf, 1.0
-        for number, q in enumerate(course):
-            if clear is not None:
-                clearance = min(clearance, clear(q, number))
-            pose, J = self.pose(q)
-            J = (pose[:3, :3].T @ J.reshape(2, 3, -1)).reshape(6, -1)
-            J[:3] /= self._length
-            values = np.linalg.svd(J[self._counted], compute_uv=False)
-            dexterity = min(dexterity, float(values[-1]))
-        limited = np.isfinite(self.arm.position_limits).all(axis=1)
-        half = np.maximum(0.5 * (self.upper - self.lower), 1e-9)
-        room = np.minimum(course - self.lower, self.upper - course)
-        room = (room + MARGIN if self._to_limits else room) / half
-        return Reach(course, dexterity, float(np.min(room[:, limited], initial=1.0)), clearance)
 
 
 def _on_joints(
@@ -303,24 +416,17 @@ def _on_joints(
 
 
 def points_on_links(origins: np.ndarray) -> np.ndarray:
-    """Points on the lines between origins of joints, (5 (n - 1), 3) of (n, 3) [m]."""
+    """Points on the lines between origins of a chain's joints, (5 (n - 1), 3) of (n, 3) [m]."""
+    return points_between(origins[:-1], origins[1:])
+
+
+def points_between(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Points on lines from beginnings (n, 3) to ends (n, 3), shape (5 n, 3) [m]."""
     steps = np.linspace(0.0, 1.0, 5)[:, None, None]
-    return (origins[:-1] + steps * np.diff(origins, axis=0)).reshape(-1, 3)
+    return (begins + steps * (ends - begins)).reshape(-1, 3)
 
 
 def clearance(*distances: np.ndarray) -> float:
     """A factor of the quality: 1 where all distances [m] are at least ``APART``, never zero."""
     nearest = min(float(np.min(part, initial=APART)) for part in distances)
     return float(np.clip(nearest / APART, 0.02, 1.0))
-
-
-def _bounds(arm: Arm, far: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds inside the limits, or with ``far`` (n,), whether a joint slides, the limits."""
-    endless = ~np.isfinite(arm.position_limits).all(axis=1)
-    low, high = np.where(endless, 0.0, arm.position_limits.T)
-    middle = 0.5 * (low + high)
-    margin = MARGIN if far is None else 0.0
-    half = np.where(endless, TURN, 0.5 * (high - low) - margin)
-    farthest = TURN if far is None else np.where(far, np.inf, TURN)
-    half = np.minimum(np.maximum(half, 0.0), farthest)
-    return middle - half, middle + half

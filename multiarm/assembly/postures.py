@@ -1,198 +1,142 @@
-"""Joint positions that the program finds: of arms whose joint has a place on the object.
+"""Joint positions that the program finds: of arms and robots whose joints have places.
 
-A scene says ``posture: solve``, or gives no posture where the arm's joints at zero are far from the
-joint.  The posture is then one with which the joint's two frames coincide at the start, or, where
-there is none, coincide but for the motions that the joint leaves free.  Of many, the one is taken
-that is farthest from singular postures, from the limits of its joints, from the object and from the
-ground on which the base stands (:mod:`multiarm.assembly.inverse_kinematics`).
+A scene says ``posture: solve``, or gives no posture where the joints of a robot at zero leave its
+tips far from their places.  The posture is then the best one that closes its connections: of an arm
+that only holds the object (:mod:`multiarm.assembly.arm_postures`), or of a robot with several
+connections (:mod:`multiarm.assembly.robot_postures`).
 
-Where its links overlap the object or the links of other arms (:mod:`multiarm.assembly.collisions`),
-the best is taken of those that do not.  Collisions of an arm with itself are not looked at.
+Where its links overlap the object or the links of other robots, or links on two of its branches
+each other (:mod:`multiarm.assembly.collisions`), the best is taken of those that do not.  Links of
+one chain are not compared with each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.assembly.collisions import NearestPair, Placed, Surroundings, nearest
-from multiarm.assembly.inverse_kinematics import (
-    LENGTH,
-    WHOLE_STARTS,
-    InverseKinematics,
-    clearance,
-    points_on_links,
-)
+from multiarm.assembly.arm_postures import PostureSearch, joint_places
+from multiarm.assembly.collisions import NearestPair, Placed, Surroundings
+from multiarm.assembly.robot_postures import RobotPostureSearch
 from multiarm.errors import SceneError
-from multiarm.geometry.records import basis
-from multiarm.scene import JointSpec, ObjectSpec, Scene
-from multiarm.scene.faults import fault_at
+from multiarm.scene import JointSpec, ResolvedRobot, Scene
+from multiarm.scene.bodies import OBJECT
+from multiarm.scene.faults import Parts, fault_at
 from multiarm.scene.joint_values import SOLVE
 
-# Postures at which the search begins: half a millisecond each.
-STARTS = 96
 # Joints at zero that bring the tip nearer than this part of the arm's length are assembled instead.
 NEAR = 0.1
-# Angles to the place below this need no words [deg].
-NO_TURN = 1.0
 # A link that overlaps an obstacle by more is in its way; one that gets out of it keeps off [m].
 OVERLAP, KEEPS_OFF = 0.001, 0.005
-# How often the arms are gone through that are in each other's way.
+# How often the robots are gone through that are in each other's way.
 ROUNDS = 2
 
 
-@dataclass(frozen=True)
-class PostureSearch:
-    """The search for a posture with which an arm holds its place on the object.
-
-    Attributes
-    ----------
-    arm : Arm
-    on_tip : ndarray, shape (4, 4)
-        The joint's frame in the tip's.
-    place : ndarray, shape (4, 4)
-        The joint's place in the world.
-    free : tuple of int
-        Components of the pose that the joint leaves free.
-    body : ObjectSpec
-    """
-
-    arm: Arm
-    on_tip: np.ndarray
-    place: np.ndarray
-    free: tuple[int, ...]
-    body: ObjectSpec
-
-    @classmethod
-    def of_joint(cls, scene: Scene, joint: JointSpec, arm: Arm) -> PostureSearch:
-        """The search that a joint of a scene asks for."""
-        return cls(arm, *joint_places(scene, joint), tuple(joint.free or ()), scene.object)
+class Search(Protocol):
+    """A search for a posture."""
 
     def best(self, allowed: Callable[[np.ndarray], bool] | None = None) -> np.ndarray | None:
-        """The best of the postures found that are ``allowed``, None where none is.
-
-        Where none is found well inside the limits, the whole ranges of the joints are searched.
-        The joint's frames are shifted against each other only where they cannot coincide.
-        """
-        clear_of_object = clear_of(self.body, self.place, meshes=allowed is not None)
-        coincide = False
-
-        def clear(posture: np.ndarray, _number: int) -> float:
-            return clear_of_object(self.arm.files.base, self.arm.skeleton(posture))
-
-        def accepted(posture: np.ndarray, _number: int) -> bool:
-            nonlocal coincide
-            coincide = coincide or not shifted
-            return allowed is None or allowed(posture)
-
-        for search, starts in self._searches():
-            shifted = any(k < 3 for k in search.free)
-            if coincide and shifted:
-                continue
-            if search.farther_than_it_reaches(self.place) is None:
-                rng = np.random.default_rng(0)
-                reach = search.search([self.place], rng, starts, clear, accepted)
-                if reach is not None:
-                    return reach.postures[0]
-        return None
-
-    def _searches(self) -> list[tuple[InverseKinematics, int]]:
-        """Searches, and their starts: well inside the limits first, and with nothing left free."""
-        return [
-            (InverseKinematics(self.arm, free, self.on_tip, to_limits), starts)
-            for to_limits, starts in ((False, STARTS), (True, WHOLE_STARTS))
-            for free in dict.fromkeys([(), self.free])
-        ]
+        """The best posture (n,) that is ``allowed``, None where none is found."""
 
     def why_none(self) -> str:
-        """What a user may do where :meth:`best` finds nothing."""
-        searches = self._searches()
-        misses = [
-            search.nearest(self.place, np.random.default_rng(0), starts)
-            for search, starts in searches
-            if search.free == self.free
-        ]
-        weight = 0.0 if self.free else LENGTH
-        miss = min(misses, key=lambda m: float(np.linalg.norm([*m.shift, weight * m.turn])))
-        beyond = searches[-1][0].farther_than_it_reaches(self.place)
-        if beyond is None:
-            total = sum(starts for _, starts in searches)
-            text = (
-                f"no joint positions were found that bring the tip to its place on the object, in "
-                f"{total} searches that began all over the ranges of the joints"
-            )
-        else:
-            text = (
-                f"the tip's place on the object is out of reach: it is {beyond[0]:.3f} m from the "
-                f"arm's first joint, and the arm stretches to {beyond[1]:.3f} m"
-            )
-        turn = np.rad2deg(miss.turn)
-        shift = ", ".join(f"{x:.3f}" for x in miss.shift)
-        turned = f" and {turn:.0f} deg" if turn > NO_TURN and not self.free else ""
-        return (
-            f"{text}; the nearest posture found leaves {np.linalg.norm(miss.shift):.3f} m{turned}; "
-            f"move the base by [{shift}] m{', and turn it,' if turned else ''} or choose another "
-            "place"
-        )
+        """What a user may do where there is none."""
 
 
 def find_postures(
-    scene: Scene, arms: Mapping[str, Arm], written: Mapping[str, np.ndarray]
+    scene: Scene, arms: Mapping[str, Arm], resolved: Mapping[str, ResolvedRobot]
 ) -> dict[str, np.ndarray]:
-    """Positions [rad, m] of the joints that the scene leaves to the program, by arm.
+    """Positions [rad, m] of the joints that the scene leaves to the program, by robot.
 
     Parameters
     ----------
     scene : Scene
-    arms : mapping arm -> Arm
-    written : mapping arm -> (n,)
-        Postures as the scene has them.
+    arms : mapping robot -> Arm
+    resolved : mapping robot -> ResolvedRobot
+        With the postures as the scene has them.
 
     Raises
     ------
     SceneError
-        Naming every arm of which no posture is found that reaches its place, how near it comes,
+        Naming every robot of which no posture is found that reaches its places, how near it comes,
         and what to move.
     """
-    searches: dict[str, PostureSearch] = {}
+    searches: dict[str, Search] = {}
     solved: dict[str, np.ndarray] = {}
     faults = []
-    for number, joint in enumerate(scene.joints):
-        if joint.arm not in scene.arms:
+    bodies = (body for joint in scene.joints for body in (joint.first, joint.second))
+    for name in dict.fromkeys(body.robot for body in bodies if body.is_link):
+        where, posture = posture_of(scene, name)
+        if posture not in (None, SOLVE):
             continue
-        arm, posture = arms[joint.arm], scene.arms[joint.arm].posture
-        where = ("arms", joint.arm, "posture")
-        if joint.at is None:
+        joints = _joints_of(scene, name)
+        placed = {number: joint for number, joint in joints.items() if joint.at is not None}
+        places = ", ".join(f"$.joints[{number}].at" for number in placed or joints)
+        if not placed:
             if posture == SOLVE:
-                problem = "'solve' needs the joint's place on the object: give "
-                faults.append(fault_at(where, f"{problem}$.joints[{number}].at"))
-            continue
-        if posture == SOLVE or (posture is None and _is_far(scene, joint, arm, written[joint.arm])):
-            search = PostureSearch.of_joint(scene, joint, arm)
-            positions = search.best()
-            if positions is None:
-                problem = f"{search.why_none()} ($.joints[{number}].at)"
+                problem = f"'solve' needs the joint's place on the object: give {places}"
                 faults.append(fault_at(where, problem))
-            else:
-                searches[joint.arm], solved[joint.arm] = search, positions
+            continue
+        search = _search_of(scene, [*placed.values()], arms[name], resolved[name])
+        if search is None:
+            continue
+        positions = search.best()
+        if positions is None:
+            faults.append(fault_at(where, f"{search.why_none()} ({places})"))
+        else:
+            searches[name], solved[name] = search, positions
     if faults:
         raise SceneError(faults)
+    written = {name: robot.posture for name, robot in resolved.items()}
     return _out_of_the_way(scene, arms, searches, {**written, **solved}) if solved else {}
+
+
+def posture_of(scene: Scene, name: str) -> tuple[Parts, object]:
+    """Where the posture of an arm or robot is written, and what is written there."""
+    if name in scene.arms:
+        return ("arms", name, "posture"), scene.arms[name].posture
+    return ("robots", name, "posture"), scene.robots[name].posture
+
+
+def _joints_of(scene: Scene, name: str) -> dict[int, JointSpec]:
+    """The joints that connect links of a robot, by their numbers in the scene."""
+    return {
+        number: joint
+        for number, joint in enumerate(scene.joints)
+        if name in (joint.first.robot, joint.second.robot)
+    }
+
+
+def _search_of(
+    scene: Scene, joints: list[JointSpec], arm: Arm, resolved: ResolvedRobot
+) -> Search | None:
+    """The search for the posture of a robot with joints that have places.
+
+    None where its posture is not asked for, and the written one leaves gaps that assembly closes.
+    """
+    wanted = posture_of(scene, arm.name)[1] == SOLVE
+    if "" in arm.tips and len(joints) == 1 and joints[0].second == OBJECT:
+        wanted = wanted or _is_far(scene, joints[0], arm, resolved.posture)
+        return PostureSearch.of_joint(scene, joints[0], arm) if wanted else None
+    search = RobotPostureSearch.of_robot(scene, joints, arm, resolved)
+    gaps = search.distances(resolved.posture)
+    listed = {joint.connection for joint in joints if joint.as_listed}  # may be anywhere
+    far = any(gap > NEAR * search.longest for name, gap in gaps.items() if name not in listed)
+    return search if wanted or far else None
 
 
 def _out_of_the_way(
     scene: Scene,
     arms: Mapping[str, Arm],
-    searches: Mapping[str, PostureSearch],
+    searches: Mapping[str, Search],
     postures: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Postures of the arms of ``searches``, with others where links overlap what is around them.
+    """Postures of the robots of ``searches``, with others where links overlap what is around them.
 
-    An arm that has no better posture keeps the one that it has; a warning of the start names it.
+    A robot that has no better posture keeps the one that it has; a warning of the start names it.
     """
     surroundings = Surroundings(scene, arms)
     for _ in range(ROUNDS):
@@ -208,8 +152,7 @@ def _out_of_the_way(
 def _distance(
     surroundings: Surroundings, name: str, obstacles: Placed, posture: np.ndarray
 ) -> float:
-    links = surroundings.placed(name, posture, standing=False)
-    return nearest(links, obstacles).distance
+    return surroundings.nearest(name, posture, obstacles).distance
 
 
 def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> bool:
@@ -219,26 +162,16 @@ def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> 
 def overlapping_links(
     scene: Scene, arms: Mapping[str, Arm], postures: Mapping[str, np.ndarray]
 ) -> dict[str, NearestPair]:
-    """Of arms whose posture is left to the program, the link that overlaps an obstacle most."""
-    open_arms = [name for name, spec in scene.arms.items() if spec.posture in (None, SOLVE)]
-    if not open_arms:
+    """Of robots whose posture is left to the program, the link that overlaps an obstacle most."""
+    left_open = [name for name in arms if posture_of(scene, name)[1] in (None, SOLVE)]
+    if not left_open:
         return {}
     surroundings, overlaps = Surroundings(scene, arms), {}
-    for name in open_arms:
-        links = surroundings.placed(name, postures[name], standing=False)
-        pair = nearest(links, surroundings.obstacles(name, postures))
+    for name in left_open:
+        pair = surroundings.nearest(name, postures[name], surroundings.obstacles(name, postures))
         if pair.distance < -OVERLAP:
             overlaps[name] = pair
     return overlaps
-
-
-def joint_places(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray]:
-    """The joint frame in the tip's frame and its place in the world, z the joint's axis."""
-    assert joint.at is not None, "the joint has a place"
-    turn = np.eye(4)
-    turn[:3, :3] = basis(joint.z_axis)
-    on_tip = joint.on_first.matrix() @ joint.start_shift() @ turn
-    return on_tip, scene.object.pose.matrix() @ joint.at.matrix() @ turn
 
 
 def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bool:
@@ -250,38 +183,3 @@ def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bo
     gap = place[:3, :3].T @ (frame[:3, 3] - place[:3, 3])
     gap[[k for k in joint.free or () if k < 3]] = 0.0
     return bool(np.linalg.norm(gap) > NEAR * np.max(arm.levers(on_tip[:3, 3])))
-
-
-def clear_of(
-    body: ObjectSpec, place: np.ndarray, meshes: bool = False
-) -> Callable[[np.ndarray, np.ndarray], float]:
-    """How well links keep apart from the object's box, and from the ground.
-
-    Parameters
-    ----------
-    body : ObjectSpec
-    place : ndarray, shape (4, 4)
-        The joint's place in the world.
-    meshes : bool
-        Whether the box of a mesh counts, too.
-
-    Returns
-    -------
-    callable
-        Of the base (4, 4) and the origins of joints and tip (n + 1, 3) in the world: a factor on
-        the quality of a posture, see :meth:`InverseKinematics.search`.
-    """
-    pose = body.pose.matrix()
-    solid = body.shape.solid if meshes or body.shape.mesh is None else None
-    corners = None if solid is None else solid.bounding_box()
-
-    def clear(base: np.ndarray, skeleton: np.ndarray) -> float:
-        outside = above = np.zeros(0)
-        if corners is not None:
-            seen = (points_on_links(skeleton[:-1]) - pose[:3, 3]) @ pose[:3, :3]
-            outside = np.maximum(corners[0] - seen, seen - corners[1]).max(axis=1)
-        if base[2, 2] > 0.9 and base[2, 3] < place[2, 3]:  # upright, and lower than its place
-            above = skeleton[2:-1, 2] - base[2, 3]
-        return clearance(outside, above)
-
-    return clear

@@ -105,7 +105,7 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             arms[name] = _make_arm(name, scene, resolved[name])
     postures = {name: arm.posture for name, arm in resolved.items()}
     if seek:
-        postures |= find_postures(scene, arms, postures)
+        postures |= find_postures(scene, arms, resolved)
     return Robots(resolved, arms, postures, shared)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.assembly.linkage import scene_size
-from multiarm.assembly.postures import overlapping_links
+from multiarm.assembly.postures import overlapping_links, posture_of
 from multiarm.control.gravity_compensation import uncarried_weight
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
@@ -87,8 +87,9 @@ def _joints_at_limits(system: System) -> list[str]:
         arm, joint = path.split("/", 1)
         limit = start[arm][system.arms[arm].joint_names.index(joint)]
         unit = system.arms[arm].joint_units[joint]
+        where, _ = posture_of(system.scene, arm)
         warnings.append(
-            f"{place(('arms', arm, 'posture'))}: {joint!r} is written at {written:.6g} {unit}; "
+            f"{place(where)}: {joint!r} is written at {written:.6g} {unit}; "
             f"to close the joints, assembly pushed it into its limit {limit:.6g} {unit}; "
             "correct the posture, the base or the joint's place"
         )
@@ -98,8 +99,8 @@ def _joints_at_limits(system: System) -> list[str]:
 def _links_in_the_way(system: System) -> list[str]:
     postures = system.initial_state().joint_positions
     return [
-        f"{place(('arms', arm, 'posture'))}: {pair.link} overlaps {pair.obstacle} by "
+        f"{place(posture_of(system.scene, robot)[0])}: {pair.link} overlaps {pair.obstacle} by "
         f"{-pair.distance:.2g} m (convex hulls), and no posture was found that does not; move "
         "the base, choose another place on the object, or write a posture"
-        for arm, pair in overlapping_links(system.scene, system.arms, postures).items()
+        for robot, pair in overlapping_links(system.scene, system.arms, postures).items()
     ]

@@ -27,6 +27,11 @@ INT, NUMBER, TRUTH = types.int64, types.float64, types.boolean
 INTS, NUMBERS, TABLE = types.int64[::1], types.float64[::1], types.float64[:, ::1]
 
 
+def named_tuple_of(kind: type, *fields: types.Type) -> Any:
+    """Type of an argument that is a ``NamedTuple`` of this class, from the types of its fields."""
+    return types.NamedTuple(fields, kind)
+
+
 class Kernel:
     """A compiled function: whole when it is called from Python, part of others when from kernels.
 

@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.arms.arm import Arm
+from multiarm.assembly.arm_postures import PostureSearch
 from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
-from multiarm.assembly.postures import PostureSearch, overlapping_links
+from multiarm.assembly.postures import overlapping_links
 from multiarm.assembly.reaching import REACHED, write_step
 from multiarm.assembly.robots import arm_files, load_robots, with_bases
 from multiarm.assembly.start_warnings import start_warnings
