@@ -70,7 +70,7 @@ def lost_motions(data: Evaluated, arms: Iterable[str] | None = None) -> dict[str
 
 
 def lost_directions(data: Evaluated, connection: str) -> tuple[LostMotion, ...]:
-    """The directions that a connection has lost by the posture or the number of joints of its robot.
+    """The directions that a connection loses by posture or number of joints of its robot.
 
     One by one; other connections of the robot are left out.
     """
@@ -276,7 +276,9 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
     basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)
     combinations = turned[:rank].T / sizes[:rank]
     units = np.array([1.0 if unit == "m" else length for unit in arm.joint_units.values()])
-    moving = [arm.tips[body.tip].chain for body in (pair.first, pair.second) if body.is_link]
+    moving: set[int] = set()  # joints on the way to both bodies of an inner loop move neither
+    for body in (pair.first, pair.second):
+        moving ^= set(arm.tips[body.tip].chain.tolist()) if body.is_link else set()
     return _Hold(
         length=length,
         place=place,
@@ -284,7 +286,7 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
         basis=basis[:, :rank],
         torques=(W / units[:, None]) @ combinations,
         names=tuple(_axis_names(axes, place, length)),
-        joints=np.setxor1d(*moving).size if len(moving) > 1 else moving[0].size,
+        joints=len(moving),
     )
 
 

@@ -162,6 +162,16 @@ def owner_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(owner.name for owner in owners if owner.group == ARMS))
 
 
+def contact_owners(channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """Names of the arms and connections whose contacts have channels, in the order of the scene."""
+    for quantity in ("wrench", "contact_force"):  # results of earlier versions have no wrenches
+        owners = [c.owner for c in channels.values() if c.quantity == quantity]
+        names = tuple(owner.name for owner in owners if owner.group == ARMS)
+        if names:
+            return names
+    return ()
+
+
 def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
     """Arm, connection or "floor" -> name of its channel of a quantity, of the channels of a run."""
     of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
