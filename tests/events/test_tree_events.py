@@ -9,10 +9,13 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from event_scenes import held_box, lifting
 from mechanics import ur5_pair
 from merged_arms import ROBOT, as_one_robot, joints_by_arm
+from tree_models import read_tree_scene
+from tree_scenes import gripper_scene
 
 import multiarm as ma
 from multiarm.scene import parse_scene
@@ -150,3 +153,99 @@ def test_the_object_lands_on_the_floor(tmp_path):
     floors = [run.contact_forces["floor"] for run in (pair.robot, pair.arms)]
     np.testing.assert_allclose(*floors, atol=1e2 * SAME * np.max(floors[1]))
     assert np.max(floors[1]) > 0.5
+
+
+# --- inner loops and couplings -------------------------------------------------------------------
+
+
+def crank_inertia(scene, angle: float) -> float:
+    """Inertia of a four-bar gripper, all of whose joints have the crank's angle [kg m^2]."""
+    model = read_tree_scene(scene).robots["gripper"].model
+    inertia = pin.crba(model, model.createData(), angle * np.ones(6))
+    ones = np.ones(6)
+    return float(ones @ (np.triu(inertia) + np.triu(inertia, 1).T) @ ones)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+def test_both_fingers_come_to_their_stops_at_once(restitution):
+    """The stops of coupled joints are redundant: together they reverse the crank."""
+    scene = gripper_scene(0.6)
+    weld = {"between": ["object", "world"], "kind": "weld", "at": scene["object"]["pose"]}
+    scene["joints"] = [*scene["joints"][2:], weld]
+    scene["control"] = {"kind": "constant", "torques": {"gripper": [0.3, *[0.0] * 5]}}
+    scene["effects"] = {"joint_limits": {"range": "urdf", "restitution": restitution}}
+    system = ma.compile_system(parse_scene(scene))
+    run = ma.simulate(system, 0.03, integrator="dop853", tolerance=1e-10)
+    assert run.status == "completed", run.message
+    hits = [event for event in run.events if "after" in event]
+    assert {hit["joint"] for hit in hits} == {"left_driver_joint", "right_driver_joint"}
+    before, after = (np.array([h[s]["gap_rate_rad_s"] for h in hits]) for s in ("before", "after"))
+    np.testing.assert_allclose(after, -restitution * before, atol=1e-8)
+    impulse = sum(hit["after"]["impulse_N_m_s"] for hit in hits)
+    expected = crank_inertia(scene, 0.7) * (1.0 + restitution) * -before[0]
+    assert impulse == pytest.approx(expected, rel=1e-7)
+    assert np.max(run.joint_positions["gripper"]) < 0.7 + 1e-9
+    assert np.max(np.abs(run.energy_balance)) < 1e-9
+
+
+def squeezed_box(torque: float, mu: float) -> dict:
+    """A gripper with three round bumps on each pad, between which there is a box."""
+    scene, radius = gripper_scene(0.3), 0.004
+    tips = ma.compile_system(parse_scene(scene)).kinematics().tips
+    left, right = tips["gripper/left"], tips["gripper/right"]
+    middle = 0.5 * (left.position + right.position)
+    half, joints = 0.5 * abs(left.position[0] - right.position[0]) - radius, []
+    for name, tip in (("left", left), ("right", right)):
+        side = float(np.sign(tip.position[0] - middle[0]))
+        face = {"plane": {"point": [side * half, 0, 0], "normal": [side, 0, 0]}}
+        contacts = [
+            {
+                "arm": {"sphere": {"center": (tip.rotation.T @ place).tolist(), "radius": radius}},
+                "object": face,
+            }
+            for place in ([0, 0.01, 0], [0, -0.005, 0.0087], [0, -0.005, -0.0087])
+        ]
+        joints.append({"arm": f"gripper/{name}", "kind": "contacts", "contacts": contacts})
+    box = {"shape": {"box": [2 * half, 0.05, 0.08]}, "mass": 0.4, "pose": {"xyz": middle.tolist()}}
+    return {
+        **scene,
+        "object": box,
+        "joints": [*joints, *scene["joints"][2:]],
+        "effects": {"unilateral_contacts": {"start": "as_written"}, "contact_friction": mu},
+        "control": {"kind": "constant", "torques": {"gripper": [torque, *[0.0] * 5]}},
+    }
+
+
+def test_a_gripper_holds_a_box_by_friction_and_lets_it_slip():
+    """Held at rest, by the principle of virtual work the crank balances weight and pads."""
+    scene = squeezed_box(1.0, 0.6)
+    system = ma.compile_system(parse_scene(scene))
+    run = ma.simulate(system, 0.05, integrator="dop853", tolerance=1e-10)
+    assert run.status == "completed", run.message
+    np.testing.assert_allclose(run.object_position[-1], run.object_position[0], atol=1e-12)
+    assert set(run.contact_states["gripper/left"].ravel()) <= {3.0, 4.0}  # sticking, resting
+    pads = [run.wrenches[f"gripper/{name}"][-1] for name in ("left", "right")]
+    np.testing.assert_allclose(sum(pads), [0, 0, 0.4 * 9.81, 0, 0, 0], atol=1e-9)
+    tips, work = system.kinematics().tips, 1.0
+    for name, wrench in zip(("left", "right"), pads, strict=True):
+        tip = tips[f"gripper/{name}"]
+        about_tip = wrench[3:] - np.cross(tip.position - run.object_position[0], wrench[:3])
+        work -= np.concatenate([wrench[:3], about_tip]) @ tip.jacobian @ np.ones(6)
+    gravity = system.arms["gripper"].gravity_torque(0.3 * np.ones(6), np.array([0, 0, -9.81]))
+    assert work == pytest.approx(gravity.sum(), abs=1e-9)
+    slipping = ma.simulate(ma.compile_system(parse_scene(squeezed_box(0.2, 0.3))), 0.05)
+    assert slipping.status == "completed", slipping.message
+    assert slipping.object_position[-1, 2] < slipping.object_position[0, 2] - 1e-4
+
+
+def test_an_evaluation_with_friction_certifies_itself():
+    system = ma.compile_system(parse_scene(squeezed_box(1.0, 0.6)))
+    ev = ma.evaluate(system)
+    assert ev.message == ""
+    assert set(ev.contact_states["gripper/left"]) <= {"sticking", "resting"}
+    size = max(np.max(np.abs(force)) for force in ev.contact_forces.values())
+    assert max(ev.residuals.arm, ev.residuals.object) < 1e-12 * max(size, 1.0)
+    assert ev.residuals.constraint < 1e-9
+    assert ev.contact_forces.keys() == ev.contact_forces_unique.keys()
+    assert ev.contact_forces["gripper"].shape == (1,)  # the coupling of the cranks
+    assert {name: f.size for name, f in ev.normal_forces.items()}["gripper/left"] == 3

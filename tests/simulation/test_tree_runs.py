@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 from random_trees import FAMILIES, draw_trees
 from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 from tree_models import TreeState, read_tree_scene
 from tree_oracle import Motions, solve_minimal
 from tree_scenes import cart_scene, gripper_scene
@@ -56,14 +55,12 @@ def reference(trees, state: TreeState, torques, end: float) -> TreeState:
     def slope(_, y: np.ndarray) -> np.ndarray:
         now = state_of(y)
         solution = solve_minimal(trees, now, torques)
-        spin = Rotation.from_quat(now.object_quaternion_xyzw)
         x, y_, z, w = now.object_quaternion_xyzw
         wx, wy, wz = now.object_twist[3:]
         rate = 0.5 * np.array([
             w * wx + wy * z - wz * y_, w * wy + wz * x - wx * z,
             w * wz + wx * y_ - wy * x, -wx * x - wy * y_ - wz * z,
         ])  # fmt: skip
-        assert spin is not None
         rates = [now.joint_velocities[name] for name in names]
         accelerations = [solution.joint_accelerations[name] for name in names]
         return np.concatenate(
@@ -180,7 +177,7 @@ def test_a_cart_stops_at_the_end_of_its_rail():
     change = momenta[-1, 0] - momenta[0, 0]
     assert change == pytest.approx(-hit["after"]["impulse_N_s"], rel=1e-8)
     assert np.max(np.abs(run.energy_balance)) < 1e-8
-    names = [name for name in run.channels["arms/cart/contact_force"].labels]
+    names = list(run.channels["arms/cart/contact_force"].labels)
     assert names == ["base_x at its lower limit", "base_x at its upper limit"]
 
 
@@ -285,7 +282,7 @@ def test_threads_and_steppers_run_robots(tmp_path):
         system.state(joint_velocities={"gripper": speed * np.ones(6)}) for speed in (0.0, 0.1)
     ]
     alone = ma.simulate(system, 0.01, integrator="rk4", step=1e-3, state=states[1])
-    many = ma.simulate_many(system, states, 0.01, integrator="rk4", step=1e-3)
+    many = ma.simulate_many(system, 0.01, states=states, integrator="rk4", step=1e-3)
     together = list(many)[1]
     np.testing.assert_array_equal(
         together.joint_positions["gripper"], alone.joint_positions["gripper"]
