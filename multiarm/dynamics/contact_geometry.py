@@ -32,7 +32,7 @@ from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.failures import is_tip_of_arm, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space
@@ -209,7 +209,8 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
     """
     if connection not in model.connections:
         known = ", ".join(model.connections)
-        raise ModelError(f"unknown arm {connection!r}; arms are {known}")
+        noun = "arm" if all(map(is_tip_of_arm, model.connections.values())) else "connection"
+        raise ModelError(f"unknown {noun} {connection!r}; {noun}s are {known}")
     pair = model.connections[connection]
     (X_WB, twist_B), (X_WA, twist_A) = (
         _pose_and_twist(model, state, body) for body in (pair.second, pair.first)

@@ -158,5 +158,6 @@ def fill_by_arm(
         )
     for arm, values in given.items():
         if arm not in views:
-            raise error(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
+            noun = "robot" if "/" in str(arm) else "arm"  # a tip in place of its robot
+            raise error(f"{what}: unknown {noun} {arm!r}; {noun}s are {', '.join(views)}")
         views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size, error)

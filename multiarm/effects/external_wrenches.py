@@ -137,7 +137,8 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     about the world's origin.
     """
     first, chain = wrenches.first_joint[k], wrenches.chain[k]
-    J = jacobian_of_carriers(wrenches, k, data)
+    addresses = open_addresses(data.bodies.pointers[wrenches.arm[k]])
+    J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     row, column = chart_places(data).joints + first, force_columns(data).positions + first
     for a in range(wrenches.joints[k]):
         i = chain[a]
@@ -222,7 +223,8 @@ def apply_wrench(wrenches, k, lever, data):
         put(f_o, 3, add(vec(f_o, 3), m))
         return dot(f, body.velocity) + dot(m, body.spin)
     first, power = wrenches.first_joint[k], 0.0
-    J = jacobian_of_carriers(wrenches, k, data)
+    addresses = open_addresses(data.bodies.pointers[wrenches.arm[k]])
+    J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     for a in range(wrenches.joints[k]):
         j = wrenches.chain[k, a]
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
@@ -232,11 +234,10 @@ def apply_wrench(wrenches, k, lever, data):
 
 
 @inlined
-def jacobian_of_carriers(wrenches, k, data):
-    """The columns of an arm's Jacobian up to that of the last joint that carries a link."""
+def columns_of_carriers(wrenches, k):
+    """How many columns of an arm's Jacobian there are up to the last joint that carries a link."""
     joints = wrenches.joints[k]
-    columns = wrenches.chain[k, joints - 1] + 1 if joints > 0 else 0
-    return floats_at(open_addresses(data.bodies.pointers[wrenches.arm[k]]).jacobian, 6 * columns)
+    return wrenches.chain[k, joints - 1] + 1 if joints > 0 else 0
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
