@@ -275,15 +275,30 @@ def test_channels_fill_a_row_exactly(tmp_path):
     assert np.max(np.abs(run.energy_balance)) < 1e-6 * np.max(np.abs(run.kinetic_energy))
 
 
-def test_threads_and_steppers_run_robots(tmp_path):
-    scene = gripper_scene()
-    system = system_of(scene)
+def test_runs_in_threads_are_those_of_one():
+    system = system_of(gripper_scene())
     states = [
         system.state(joint_velocities={"gripper": speed * np.ones(6)}) for speed in (0.0, 0.1)
     ]
     alone = ma.simulate(system, 0.01, integrator="rk4", step=1e-3, state=states[1])
     many = ma.simulate_many(system, 0.01, states=states, integrator="rk4", step=1e-3)
-    together = list(many)[1]
     np.testing.assert_array_equal(
-        together.joint_positions["gripper"], alone.joint_positions["gripper"]
+        list(many)[1].joint_positions["gripper"], alone.joint_positions["gripper"]
     )
+
+
+def test_a_stepper_moves_a_robot_as_a_run_does():
+    scene = gripper_scene()
+    system = system_of(scene)
+    run = ma.simulate(system, 0.01, integrator="rk4", step=1e-3)
+    stepper = ma.Stepper(system, integrator="rk4", step=1e-3)
+    torques = {"gripper": np.array(scene["control"]["torques"]["gripper"])}
+    for _ in range(10):
+        state = stepper.advance(1e-3, torques)
+    np.testing.assert_allclose(
+        state.joint_positions["gripper"], run.joint_positions["gripper"][-1], atol=1e-12
+    )
+    assert list(stepper.wrenches) == list(run.wrenches)
+    for name, forces in stepper.contact_forces.items():
+        size = max(np.max(np.abs(forces)), 1.0)
+        np.testing.assert_allclose(forces, run.contact_forces[name][-1], atol=1e-8 * size)
