@@ -31,7 +31,7 @@ from multiarm.scene.registry import called
 
 
 class Link(NamedTuple):
-    """A link of an arm on which an effect acts."""
+    """A link of an arm or robot on which an effect acts."""
 
     # index in ``EffectVariables.link_poses`` of the address of its joint's pose: 12 numbers,
     # rotation by columns, origin
@@ -40,7 +40,8 @@ class Link(NamedTuple):
     # of 6, world axes, about the world's origin)
     arm: int
     first: int  # the arm's first joint among all
-    joints: int  # number of joints that carry the link
+    # (d,) the joints that carry the link, of the arm's, counted from 0, from base to link
+    chain: np.ndarray
     # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
     rotation: np.ndarray
     translation: np.ndarray
@@ -82,13 +83,14 @@ class BuildContext:
     def link(self, arm: str, name: str) -> Link:
         """A link of an arm; its pose will be computed at every evaluation."""
         joint, rotation, translation = self.arms[arm].link(name)
+        carriers = [carrier - 1 for carrier in self.arms[arm].model.supports[joint] if carrier > 0]
         number = self.layout.names.index(arm)
         self.links.append((number, joint))
         return Link(
             number=len(self.links) - 1,
             arm=number,
             first=self.layout.first_joint[number],
-            joints=joint,
+            chain=np.array(carriers, dtype=np.int64),
             rotation=rotation,
             translation=translation,
         )
