@@ -153,7 +153,7 @@ def colors_of(system: System) -> dict[str, np.ndarray]:
     It is that of the scene, or one of a palette.  A connection has the colour of its tip; where its
     bodies are no tips, one more of the palette.
     """
-    scene, colors = system.scene, {}
+    scene, colors = system.scene, dict[str, np.ndarray]()
     for name, arm in scene.arms.items():
         colors[name] = _color(arm.color, len(colors))
     for name, robot in scene.robots.items():
