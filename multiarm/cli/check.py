@@ -176,9 +176,18 @@ def _joints(inspection: Inspection) -> RenderableType:
         )
     return columns(
         "Connections (forces act on the second body; z: the joint's axis or normal)",
-        ("name", "from", "to", "kind", "rows", "free motions", "contacts"),
-        [(joint.connection, joint.first, joint.second, *_joint(joint)[1:]) for joint in joints],
+        ("connection", "kind", "rows", "free motions", "contacts"),
+        [(_bodies(joint), *_joint(joint)[1:]) for joint in joints],
     )
+
+
+def _bodies(joint: JointFacts) -> str:
+    """Name of a joint in results, and the bodies where the name does not have both."""
+    if joint.arm is not None:
+        return joint.connection
+    if joint.connection == f"{joint.first}-{joint.second}":
+        return f"{joint.first}-\n{joint.second}"
+    return f"{joint.connection}:\n{joint.first},\n{joint.second}"
 
 
 def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
