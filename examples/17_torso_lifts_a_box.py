@@ -63,7 +63,7 @@ def main() -> None:
 
     for torso_rise in (0.0, RISE):
         run = ma.simulate(
-            system, DURATION, control=lift(torso_rise), sample_time=0.01,
+            system, DURATION, control=lift(torso_rise), sample_time=0.02,
             integrator="dop853", tolerance=1e-7,
         )  # fmt: skip
         moved = run.joint_positions["tiago"][-1] - run.joint_positions["tiago"][0]
