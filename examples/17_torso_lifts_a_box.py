@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 
 SCENE = Path(__file__).parent / "scenes" / "torso_lifts_a_box.yaml"
-RISE, TURN, DURATION = 0.12, 0.3, 2.0  # [m], [rad] about the vertical, [s]
+RISE, TURN, DURATION = 0.12, 0.15, 2.0  # [m], [rad] about the vertical, [s]
 STIFFNESS, DAMPING = 100.0, 20.0  # [1/s^2], [1/s]
 
 
