@@ -84,8 +84,9 @@ def main() -> None:
         system, DURATION, control=carry, sample_time=0.02, integrator="dop853", tolerance=1e-7
     )
     end = on_arc(start.object_position, DURATION)[0]
-    print(f"{run.status}: the table came {np.hypot(*end[:2]):.2f} m, and is "
-          f"{1e3 * np.linalg.norm(run.object_position[-1] - end):.1f} mm off its place")  # fmt: skip
+    error = 1e3 * np.linalg.norm(run.object_position[-1] - end)
+    way = np.hypot(*end[:2])
+    print(f"{run.status}: the table came {way:.2f} m, and is {error:.1f} mm off its place")
     for name, positions in run.joint_positions.items():
         x, y, yaw = positions[-1, :3]
         arms = np.ptp(positions[:, 3:], axis=0).max()

@@ -57,8 +57,8 @@ def main() -> None:
         for torque in (TORQUE, 0.0)
     )
     angle = OPEN - start.joint_positions["gripper"][drive]
-    print(f"the torque presses with {pressed - loose:.4f} N; "
-          f"by virtual work {TORQUE / (2.0 * CRANK * np.cos(angle)):.4f} N")  # fmt: skip
+    expected = TORQUE / (2.0 * CRANK * np.cos(angle))
+    print(f"the torque presses with {pressed - loose:.4f} N; by virtual work {expected:.4f} N")
     if options.replay_html:
         ma.replay(run, options.replay_html)
 

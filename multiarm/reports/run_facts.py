@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from multiarm.notation import count_of, number, numbers, value_text
-from multiarm.results.channels import FLOOR
 
 if TYPE_CHECKING:
     from multiarm.results.trajectory import Trajectory
@@ -51,6 +50,8 @@ def course_facts(figures: Mapping[str, Any], compilation: float) -> dict[str, st
 
 def motion_facts(figures: Mapping[str, Any]) -> dict[str, str]:
     """Where the object is at the end of a run, and its largest forces, from :func:`figures_of`."""
+    from multiarm.results.channels import FLOOR
+
     position, rows = figures["final_object_position"], {}
     if position is not None:
         rows["object at the end"] = numbers(position, "m")

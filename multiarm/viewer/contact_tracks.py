@@ -48,7 +48,7 @@ FLOOR_COLOR = np.array([0.36, 0.40, 0.46])
 def contacts_of(
     system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
 ) -> list[ContactTracks]:
-    """Return the contacts of each arm, and of the floor, at some samples (`rows`) of a run."""
+    """Return the contacts of connections and of the floor at some samples (`rows`) of a run."""
     places = [_places(system, trajectory, row) for row in rows]
     points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
     tracks, wrenches = [], channels_of(trajectory.channels, "wrench")
