@@ -247,15 +247,16 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=None if evaluation is None else carrying_capacity(system, evaluation),
         warnings=scene.warnings + ([] if unknown_joints else start_warnings(system)),
-        not_looked_at=[_not_looked_at(code) for code in unloaded],
+        not_looked_at=[_not_looked_at(code, scene) for code in unloaded],
     )
 
 
-def _not_looked_at(code: NamedCode) -> str:
+def _not_looked_at(code: NamedCode, scene: Scene) -> str:
     """Code that an inspection does not load, and which part it leaves out therefore."""
     left_out = "it is left out"
     if code.arm is not None:
-        left_out = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+        joint = f"joint of arm {code.arm!r}" if code.arm in scene.arms else f"joint {code.arm!r}"
+        left_out = f"the {joint}, the start, rank and mobility are left out"
     return f"{code.place}: {code.what} is not loaded by a check: {left_out}"
 
 

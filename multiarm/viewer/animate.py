@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from multiarm.dynamics.system import System
     from multiarm.grasp.seventh_contact.contact_region import ContactRegion
     from multiarm.results.trajectory import Trajectory
-    from multiarm.scene import JointSpec
+    from multiarm.scene import JointSpec, Scene
 
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
@@ -116,14 +116,18 @@ def _system(trajectory: Trajectory) -> tuple[System, list[str]]:
     not_drawn = [item for item in left_out if item.arm]
     if not not_drawn:
         return system, []
-    arms = ", ".join(dict.fromkeys(f"arm {item.arm!r}" for item in not_drawn))
+    owners = ", ".join(dict.fromkeys(_joint_words(scene, item.arm) for item in not_drawn))
     missing = (
-        f"contacts and surfaces of {arms} that need "
+        f"contacts and surfaces of {owners} that need "
         f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn: code that a "
         "result names is not loaded"
     )
     warnings.warn(missing, stacklevel=4)
     return system, [missing]
+
+
+def _joint_words(scene: Scene, connection: str | None) -> str:
+    return f"{'arm' if connection in scene.arms else 'joint'} {connection!r}"
 
 
 def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
