@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         Freedom,
         Inspection,
         JointFacts,
+        RobotFacts,
         RunFacts,
     )
 
@@ -37,15 +38,16 @@ def check(
     arms: Arms = None,
     json: JsonFile = None,
 ) -> None:
-    """Show what a scene compiles to: arms, joints, effects, freedom, and how good its start is.
+    """Show what a scene compiles to: robots, joints, effects, freedom, and how good its start is.
 
     All faults of a scene are listed together, each with its place and the alternatives; the exit
     code is then 2. Functions and classes that the scene names are not loaded; what needs them is
     left out. What each effect costs and changes, **multiarm effects** measures.
 
-    The JSON has the keys scene, gravity, object, arms, joints, freedom, coming_and_going, effects,
-    control, run, start, position_residual, velocity_residual, residuals, carrying, warnings,
-    not_looked_at; their meaning and units are those of multiarm.simulation.inspection.Inspection.
+    The JSON has the keys scene, gravity, object, arms, robots, joints, freedom, coming_and_going,
+    effects, control, run, start, position_residual, velocity_residual, residuals, carrying,
+    warnings, not_looked_at; their meaning and units are those of
+    multiarm.simulation.inspection.Inspection.
     Numbers are finite, or null where there is none.
     """
     check_targets({"--json": json}, source=scene)
@@ -73,11 +75,8 @@ def _tables(inspection: Inspection) -> list[RenderableType]:
     tables = [
         facts(inspection.scene, _general(inspection)),
         *(facts(f"Arm {name}", _arm(arm)) for name, arm in inspection.arms.items()),
-        columns(
-            "Joints to the object (z: the joint's axis or normal)",
-            ("arm", "kind", "rows", "free motions", "contacts"),
-            [_joint(joint) for joint in inspection.joints],
-        ),
+        *(facts(f"Robot {name}", _robot(robot)) for name, robot in inspection.robots.items()),
+        _joints(inspection),
         facts(
             "Effects",
             {name: value_text(parameters) for name, parameters in inspection.effects.items()}
@@ -109,30 +108,86 @@ def _inertia(matrix: list[list[float]]) -> str:
 
 def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
     """One arm; its joints with their positions at the start."""
-    from multiarm.scene.values import roll_pitch_yaw, rotation_matrix
-
-    joints = zip(arm.joints.items(), arm.posture, strict=True)
-    turn = roll_pitch_yaw(rotation_matrix((), arm.base_quaternion_xyzw))
     rows: dict[str, RenderableType] = {
         "robot": f"{arm.robot} ({Path(arm.urdf).name})",
-        "base": f"at {numbers(arm.base_position, 'm')}, rpy {numbers(turn, 'rad')}",
-        "joints": f"{len(arm.joints)}: "
-        + ", ".join(f"{joint} {numbers([position], unit)}" for (joint, unit), position in joints),
+        "base": _base(arm),
+        "joints": _positions(arm),
         "tip": arm.tip if arm.tool is None else f"{arm.tip}, of the tool {arm.tool}",
         "computed by": _terms(arm),
         "posture": _posture(arm),
     }
-    if arm.locked:
-        rows["locked"] = ", ".join(f"{joint} {value:g}" for joint, value in arm.locked.items())
-    return rows
+    return rows | _locked(arm)
 
 
-def _terms(arm: ArmFacts) -> Text:
+def _robot(robot: RobotFacts) -> dict[str, RenderableType]:
+    """One robot with tips; its joints with their positions at the start."""
+    moves = ", ".join(robot.base_joints)
+    couplings = ", ".join(
+        f"{mimic.joint} = {mimic.multiplier:g} {mimic.leader}"
+        + (f" {mimic.offset:+g}" if mimic.offset else "")
+        for mimic in robot.mimic
+    )
+    return {
+        "robot": f"{robot.robot} ({Path(robot.urdf).name})",
+        "base": f"{_base(robot)}, {f'moves by {moves}' if moves else 'fixed'}",
+        "joints": _positions(robot),
+        "tips": ", ".join(f"{tip} ({link})" for tip, link in robot.tips.items()) or "none",
+        **({"couplings": couplings} if couplings else {}),
+        "computed by": _terms(robot),
+        "posture": _posture(robot),
+        **_locked(robot),
+    }
+
+
+def _base(robot: ArmFacts | RobotFacts) -> str:
+    from multiarm.scene.values import roll_pitch_yaw, rotation_matrix
+
+    turn = roll_pitch_yaw(rotation_matrix((), robot.base_quaternion_xyzw))
+    return f"at {numbers(robot.base_position, 'm')}, rpy {numbers(turn, 'rad')}"
+
+
+def _positions(robot: ArmFacts | RobotFacts) -> str:
+    joints = zip(robot.joints.items(), robot.posture, strict=True)
+    texts = [f"{joint} {numbers([position], unit)}" for (joint, unit), position in joints]
+    return f"{len(texts)}: {', '.join(texts)}"
+
+
+def _locked(robot: ArmFacts | RobotFacts) -> dict[str, RenderableType]:
+    locked = ", ".join(f"{joint} {value:g}" for joint, value in robot.locked.items())
+    return {"locked": locked} if locked else {}
+
+
+def _terms(arm: ArmFacts | RobotFacts) -> Text:
     if arm.terms == "compiled":
         return Text("compiled code, verified against Pinocchio")
     if arm.not_compiled is None:
         return Text("Pinocchio")
     return Text.assemble("Pinocchio: ", (f"not compiled, since {arm.not_compiled}", "yellow"))
+
+
+def _joints(inspection: Inspection) -> RenderableType:
+    """The joints of the scene: by arms where all are between an arm and the object."""
+    joints = inspection.joints
+    if not inspection.robots:
+        return columns(
+            "Joints to the object (z: the joint's axis or normal)",
+            ("arm", "kind", "rows", "free motions", "contacts"),
+            [_joint(joint) for joint in joints],
+        )
+    return columns(
+        "Connections (forces act on the second body; z: the joint's axis or normal)",
+        ("connection", "kind", "rows", "free motions", "contacts"),
+        [(_bodies(joint), *_joint(joint)[1:]) for joint in joints],
+    )
+
+
+def _bodies(joint: JointFacts) -> str:
+    """Name of a joint in results, and the bodies where the name does not have both."""
+    if joint.arm is not None:
+        return joint.connection
+    if joint.connection == f"{joint.first}-{joint.second}":
+        return f"{joint.first}-\n{joint.second}"
+    return f"{joint.connection}:\n{joint.first},\n{joint.second}"
 
 
 def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
@@ -147,10 +202,10 @@ def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
         count = len(joint.rows) - joint.rank
         contacts.append(f"; {count} too many among: {', '.join(joint.redundant_rows)}", "yellow")
     rows = f"{len(joint.rows)}, rank {joint.rank}"
-    return joint.name or joint.arm, joint.kind, rows, "\n".join(free) or "none", contacts
+    return joint.name or joint.connection, joint.kind, rows, "\n".join(free) or "none", contacts
 
 
-def _posture(arm: ArmFacts) -> Text:
+def _posture(arm: ArmFacts | RobotFacts) -> Text:
     if arm.verdict is None:
         return Text("not judged", "dim")
     good = arm.verdict == "good"
@@ -180,13 +235,14 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
 def _start(inspection: Inspection, start: StartReport) -> dict[str, RenderableType]:
     left = inspection.residuals
     assert left is not None, "a start has been evaluated"
+    robots = "robots" if inspection.robots else "arms"
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
         "left after them": f"gap {number(inspection.position_residual, 'm')}, "
         f"rate {number(inspection.velocity_residual, 'm/s')}",
-        "residuals of the equations": f"arms {number(left.arm, 'N m')}, object "
+        "residuals of the equations": f"{robots} {number(left.arm, 'N m')}, object "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
     rows |= carrying_rows(inspection.carrying)

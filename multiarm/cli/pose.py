@@ -17,24 +17,29 @@ if TYPE_CHECKING:
 def pose(scene: SceneFile, no_code: NoCode = False) -> None:
     """Find the postures that a scene leaves to the program, and the places to stand.
 
-    Postures are found of arms that have none, or `posture: solve`; places of arms with `base:
-    {solve: [x, y, yaw]}`. Printed are joint positions from base to tip, in rad, of sliding joints
-    in m, and bases in m and rad, as a scene has them: copy them into it. It is an error if an arm
+    Postures are found of arms and robots that have none, or `posture: solve`; places of arms with
+    `base: {solve: [x, y, yaw]}`. Printed are joint positions from base to tip, in rad, of sliding
+    joints in m, and bases in m and rad, as a scene has them: copy them into it. Of a robot with
+    tips the joints of a moving base come first, then those of its tree. It is an error if an arm
     cannot reach its place on the object; the message says how near it comes and where to move its
     base.
     """
     from multiarm.scene.joint_values import SOLVE
 
     loaded = scene_to_run(scene, no_code)
-    open_ones = [name for name, arm in loaded.arms.items() if arm.posture in (None, SOLVE)]
+    robots = {**loaded.arms, **loaded.robots}
+    open_ones = [name for name, robot in robots.items() if robot.posture in (None, SOLVE)]
     if not open_ones:
-        raise SceneError(f"'{scene}' gives every arm a posture; write 'posture: solve' to find one")
+        noun = "robot" if loaded.robots else "arm"
+        raise SceneError(
+            f"'{scene}' gives every {noun} a posture; write 'posture: solve' to find one"
+        )
     from multiarm.assembly.compilation import compile_system
 
     system = compile_system(loaded)
     positions = system.initial_state().joint_positions
     for name in open_ones:
-        base = _base(loaded.arms[name], system.scene.arms[name])
+        base = _base(loaded.arms[name], system.scene.arms[name]) if name in loaded.arms else ""
         text = f"{base}posture: {_written(positions[name])}"
         output().print(f"{name}: {{{text}}}", markup=False, soft_wrap=True)
 

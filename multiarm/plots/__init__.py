@@ -51,7 +51,7 @@ def figures(trajectory: Trajectory) -> dict[str, Figure]:
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
         "Joint limits": limit_use(trajectory),
-        "Wrenches of the arms": wrenches(trajectory),
+        "Wrenches": wrenches(trajectory),
         "Contact forces": contact_forces(trajectory),
         "Contact states": contact_states(trajectory),
         "Energy": energy(trajectory),

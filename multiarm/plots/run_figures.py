@@ -69,28 +69,29 @@ def object_pose(trajectory: Trajectory) -> Figure:
 
 
 def joint_positions(trajectory: Trajectory) -> Figure:
-    """Joint angles (deg) and displacements (m), a panel per arm."""
+    """Joint angles (deg) and displacements (m), a panel per robot."""
     return draw(_arm_panels(trajectory, "joint_position"), events=trajectory.events)
 
 
 def joint_torques(trajectory: Trajectory) -> Figure:
-    """Torques (N m) and forces (N) of the drives, a panel per arm."""
+    """Torques (N m) and forces (N) of the drives, a panel per robot."""
     return draw(_arm_panels(trajectory, "joint_torque"), events=trajectory.events)
 
 
 def contact_forces(trajectory: Trajectory) -> Figure:
-    """Force at each contact along its normal (N), a panel per arm, and one for the floor.
+    """Force at each contact along its normal (N), a panel per arm or connection, and for the floor.
 
-    Positive pushes.
+    Positive pushes the object, or the second body of a connection.
     """
     panels = _arm_panels(trajectory, "contact_force")
     return draw(panels, zero_line=True, events=trajectory.events)
 
 
 def wrenches(trajectory: Trajectory) -> Figure | None:
-    """Force (N) and moment (N m) of each arm on the object, two panels per arm and for the floor.
+    """Force (N) and moment (N m) on the object, two panels per arm, connection and for the floor.
 
-    In world axes, the moment about the object's centre of mass.  None where none were recorded.
+    In world axes, the moment about the object's centre of mass; of a connection with another second
+    body on that body, about the joint's frame there.  None where none were recorded.
     """
     panels = _arm_panels(trajectory, "wrench")
     if not panels:

@@ -18,7 +18,7 @@ from multiarm.plots.style import inline_svg
 from multiarm.reports import pages
 from multiarm.reports.pages import heading
 from multiarm.reports.run_facts import COURSE, SETTINGS, course_facts, figures_of, motion_facts
-from multiarm.results.channels import work_channels
+from multiarm.results.channels import channels_of, work_channels
 from multiarm.results.event_log import Event, Group, counts, grouped, who
 from multiarm.results.files import printable, resolved, write_text
 from multiarm.results.limit_use import (
@@ -117,7 +117,9 @@ def _largest_force(trajectory: Trajectory, summary: dict[str, Any]) -> dict[str,
 
 
 def _bearer(trajectory: Trajectory, arm: str) -> str:
-    return f"arm {arm}" if arm in trajectory.arm_names else arm
+    if arm not in trajectory.arm_names:
+        return arm
+    return f"arm {arm}" if arm in channels_of(trajectory.channels, "wrench") else f"joints of {arm}"
 
 
 def _course(certificate: Mapping[str, Any], events: Sequence[Event]) -> str:

@@ -50,11 +50,20 @@ def course_facts(figures: Mapping[str, Any], compilation: float) -> dict[str, st
 
 def motion_facts(figures: Mapping[str, Any]) -> dict[str, str]:
     """Where the object is at the end of a run, and its largest forces, from :func:`figures_of`."""
+    from multiarm.results.channels import FLOOR
+
     position, rows = figures["final_object_position"], {}
     if position is not None:
         rows["object at the end"] = numbers(position, "m")
-    for arm, force in figures["contact_force_max_N"].items():
-        rows[f"largest forces, {arm}"] = _forces(figures["wrench_max"].get(arm), force)
+    robots, wrenches = figures["arms"], figures["wrench_max"]
+    for name, force in figures["contact_force_max_N"].items():
+        wrench = wrenches.get(name)
+        if wrench is None and wrenches:
+            rows[f"largest forces, {name}"] = f"{number(force)} N or N m at joints that are held"
+            continue
+        of_robot = not isinstance(robots, Mapping) or name in robots or name == FLOOR
+        where = " on the object" if of_robot else ""  # of other connections on the second body
+        rows[f"largest forces, {name}"] = _forces(wrench, force, where)
     return rows
 
 
@@ -84,8 +93,8 @@ def _arms(backends: Any) -> str:
     return "arms " + ", ".join(f"{name} {kind}" for name, kind in backends.items())
 
 
-def _forces(wrench: Mapping[str, Any] | None, contact_force: float | None) -> str:
-    """The largest force and moment on the object, and the largest force of a contact."""
+def _forces(wrench: Mapping[str, Any] | None, contact_force: float | None, where: str) -> str:
+    """The largest force and moment, and the largest force of a contact."""
     at_contact = f"{number(contact_force, 'N')} at a contact"
     if wrench is None:  # a result of an earlier version
         return f"{at_contact} (the wrench on the object was not recorded)"
@@ -96,4 +105,4 @@ def _forces(wrench: Mapping[str, Any] | None, contact_force: float | None) -> st
             ("moment_N_m", "N m", "moment_time_s"),
         )
     )
-    return f"{force} and {moment} on the object; {at_contact}"
+    return f"{force} and {moment}{where}; {at_contact}"

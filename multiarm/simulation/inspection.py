@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.assembly.start_warnings import start_warnings
-from multiarm.contacts.joint import JointFrame, limits_of, write_relative
+from multiarm.contacts.joint import FrameRow, JointFrame, limits_of, write_relative
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
@@ -37,9 +37,20 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.system import StartReport, System
 from multiarm.events.evaluation import evaluate
 from multiarm.geometry.screws import free_motions, wrenches_in_frame
+from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
 from multiarm.results.outcome import plain
-from multiarm.scene import ArmSpec, JointSpec, NamedCode, ObjectSpec, RunSpec, Scene, ToolSpec
+from multiarm.scene import (
+    ArmSpec,
+    JointSpec,
+    NamedCode,
+    ObjectSpec,
+    RobotSpec,
+    RunSpec,
+    Scene,
+    ToolSpec,
+)
+from multiarm.scene.resolution import MimicCoupling
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion
@@ -81,6 +92,27 @@ class ArmFacts:
 
 
 @dataclass(frozen=True)
+class RobotFacts:
+    """One robot with tips; fields of the same names as those of an arm have the same meaning."""
+
+    robot: str
+    urdf: str
+    tips: dict[str, str]  # name -> link
+    base_position: list[float]
+    base_quaternion_xyzw: list[float]
+    base_joints: list[str]  # the first of the joints; none: the base is fixed
+    joints: dict[str, str]  # in the order of its vectors
+    posture: list[float]
+    mimic: list[MimicCoupling]
+    locked: dict[str, float]
+    terms: str
+    not_compiled: str | None
+    conditioning: float | None  # of all rows of its connections and couplings
+    verdict: str | None  # "good", "near singular" or "dependent rows"
+    lost_motions: list[str]
+
+
+@dataclass(frozen=True)
 class LimitFacts:
     """Limits of a joint's coordinate [rad, m], and its value at the start."""
 
@@ -93,15 +125,19 @@ class LimitFacts:
 
 @dataclass(frozen=True)
 class JointFacts:
-    """The joint of one arm to the object, by itself, at the start."""
+    """One joint of the scene by itself, at the start."""
 
-    arm: str
+    connection: str  # its name in results
+    arm: str | None  # where it is written so
+    first: str  # the bodies that it connects; forces act on the second one
+    second: str
     kind: str
     name: str | None
     rows: list[str]  # names of its constraint rows
     rank: int
     redundant_rows: list[str]  # rows that depend on each other
-    free_motions: list[str]  # of the tip on the object, in the axes of the joint's frame
+    # of the first body, seen from the second one, in the axes of the joint's frame
+    free_motions: list[str]
     coordinates: list[str]  # components that are recorded
     limits: list[LimitFacts]
 
@@ -146,6 +182,7 @@ class Inspection:
     gravity: list[float] | None  # [m/s^2]
     object: ObjectFacts
     arms: dict[str, ArmFacts]
+    robots: dict[str, RobotFacts]
     joints: list[JointFacts]
     freedom: Freedom | None  # all contacts of the joints closed, those with a floor open
     coming_and_going: list[str]  # unilateral constraints
@@ -179,7 +216,7 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         When the equations of motion cannot be solved at the start.
     """
     scene = system.scene
-    unknown_joints = {code.arm for code in unloaded}.difference([None])  # of these arms
+    unknown_joints = {code.arm for code in unloaded}.difference([None])  # of these connections
     evaluation = None if unknown_joints else evaluate(system)
     with system.borrow() as data:
         closed = data.closed
@@ -187,15 +224,17 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
         coordinates = _joint_coordinates(closed)
         freedom = None if unknown_joints else count_freedom(closed)
+    joints = {joint.connection: joint for joint in scene.joints}
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
         object=_object_facts(scene.object),
-        arms={name: _arm_facts(system, name, evaluation) for name in system.arm_names},
+        arms={name: _arm_facts(system, name, evaluation) for name in scene.arms},
+        robots={name: _robot_facts(system, name, evaluation) for name in scene.robots},
         joints=[
-            _joint_facts(system, joint, terms[joint.arm], coordinates[joint.arm])
-            for joint in sorted(scene.joints, key=lambda j: system.arm_names.index(j.arm))
-            if joint.arm not in unknown_joints
+            _joint_facts(system, joints[name], terms[name], coordinates[name])
+            for name in system.model.connections
+            if name not in unknown_joints
         ],
         freedom=freedom,
         coming_and_going=[] if unknown_joints else coming_and_going(system),
@@ -208,15 +247,16 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=None if evaluation is None else carrying_capacity(system, evaluation),
         warnings=scene.warnings + ([] if unknown_joints else start_warnings(system)),
-        not_looked_at=[_not_looked_at(code) for code in unloaded],
+        not_looked_at=[_not_looked_at(code, scene) for code in unloaded],
     )
 
 
-def _not_looked_at(code: NamedCode) -> str:
+def _not_looked_at(code: NamedCode, scene: Scene) -> str:
     """Code that an inspection does not load, and which part it leaves out therefore."""
     left_out = "it is left out"
     if code.arm is not None:
-        left_out = f"the joint of arm {code.arm!r}, the start, rank and mobility are left out"
+        joint = f"joint of arm {code.arm!r}" if code.arm in scene.arms else f"joint {code.arm!r}"
+        left_out = f"the {joint}, the start, rank and mobility are left out"
     return f"{code.place}: {code.what} is not loaded by a check: {left_out}"
 
 
@@ -320,15 +360,38 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
     )
 
 
-def _verdict(pivot: float | None) -> str | None:
+def _robot_facts(system: System, name: str, evaluation: Evaluation | None) -> RobotFacts:
+    spec, robot = system.scene.robots[name], system.arms[name]
+    position, quaternion = _placement(spec.base.matrix())
+    pivot = None if evaluation is None else evaluation.conditioning.get(name)
+    return RobotFacts(
+        robot=_model_name(spec),
+        urdf=str(robot.files.urdf),
+        tips=dict(spec.tips),
+        base_position=position,
+        base_quaternion_xyzw=quaternion,
+        base_joints=[joint.name for joint in robot.files.base_joints],
+        joints=dict(robot.joint_units),
+        posture=system.initial_state().joint_positions[name].tolist(),
+        mimic=list(system.model.robots[name].mimic),
+        locked=dict(robot.files.locked),
+        terms=system.arm_terms[name],
+        not_compiled=system.not_compiled.get(name),
+        conditioning=pivot,
+        verdict=_verdict(pivot, "dependent rows"),
+        lost_motions=[] if evaluation is None else list(evaluation.lost_motions.get(name, ())),
+    )
+
+
+def _verdict(pivot: float | None, singular: str = "cannot follow") -> str | None:
     if pivot is None:
         return None
     if pivot < ROUNDING_PIVOT:
-        return "cannot follow"
+        return singular
     return "good" if pivot >= GOOD_PIVOT else "near singular"
 
 
-def _model_name(spec: ArmSpec | ToolSpec) -> str:
+def _model_name(spec: ArmSpec | RobotSpec | ToolSpec) -> str:
     if spec.robot is not None:
         return spec.robot
     if isinstance(spec, ToolSpec) and spec.fingers is not None:
@@ -340,11 +403,18 @@ def _model_name(spec: ArmSpec | ToolSpec) -> str:
 def _joint_facts(
     system: System, joint: JointSpec, terms: ContactTerms, coordinates: np.ndarray
 ) -> JointFacts:
-    frame = system.frames[joint.arm]
-    names = [contact.name for contact in system.model.joints[joint.arm].contacts]
-    motions = free_motions(wrenches_in_frame(frame.on_object, terms.W_o))
+    name, frame = joint.connection, system.frames[joint.connection]
+    names = [contact.name for contact in system.model.joints[name].contacts]
+    row = system.model.layout.owners.index(name)
+    frames = fields_of(FrameRow, system.model.constants.joint_frames[row])
+    on_second = np.eye(4)  # in the frame in which the terms are, of a link not that of the tip
+    on_second[:3, :3], on_second[:3, 3] = frames.on_object, frames.origin_on_object
+    motions = free_motions(wrenches_in_frame(on_second, terms.W_o))
     return JointFacts(
-        arm=joint.arm,
+        connection=name,
+        arm=joint.arm or None,
+        first=str(joint.first),
+        second=str(joint.second),
         kind=joint.kind,
         name=joint.name,
         rows=names,

@@ -199,6 +199,8 @@ def make_peers(
         try:
             if strange:
                 refusals[name] = f"cannot express {', '.join(strange)}"
+            elif system.scene.robots:
+                refusals[name] = "cannot express robots with tips by name, only arms"
             else:
                 able[name] = getattr(import_module(module), kind)(system)
         except ModelError as error:

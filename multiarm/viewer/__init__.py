@@ -44,16 +44,17 @@ def replay(
 ) -> Path | InlineReplay | None:
     """Show a trajectory in the browser.
 
-    The replay shows the arms, each in its colour, the translucent object, the contacts with their
-    normals into the object, and the contact forces as arrows. A pushing arrow ends at its contact;
-    a pulling one is lighter and begins there. The longest arrow is the largest force of the run; a
-    short spike far above the rest is clipped to it, and the page gives its value. Hinges, slides
-    and balls are drawn with their axes; limits as a sector or a rail with a pointer, which is red
-    beyond them. Contacts that can open, slide or stick have a mark for each state, and no arrow
-    while they are open. Events are shown briefly at their place; the page lists them and marks them
-    on its time line. A failed run is shown up to its last sample. Functions that the scene of a
-    stored run names are not loaded: a warning says which surfaces are not drawn. A run of this
-    process has its functions.
+    The replay shows the arms, each in its colour, of a robot with several tips each branch in that
+    of its tip, the translucent object, the contacts with their normals into the object (or into the
+    second body of a connection), and the contact forces as arrows. A pushing arrow ends at its
+    contact; a pulling one is lighter and begins there. The longest arrow is the largest force of
+    the run; a short spike far above the rest is clipped to it, and the page gives its value.
+    Hinges, slides and balls are drawn with their axes; limits as a sector or a rail with a pointer,
+    which is red beyond them. Contacts that can open, slide or stick have a mark for each state, and
+    no arrow while they are open. Events are shown briefly at their place; the page lists them and
+    marks them on its time line. A failed run is shown up to its last sample. Functions that the
+    scene of a stored run names are not loaded: a warning says which surfaces are not drawn. A run
+    of this process has its functions.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """From a trajectory to an animation: the only place where a replay meets robots and dynamics.
 
 Frames are samples of the trajectory; between two of them the page interpolates.  Link poses come
-from each arm's kinematics, contact points and normals from the system's evaluation, contact forces,
-states and events from the trajectory, and the axes of joints from their frames: a joint's frame has
-the axis as its z axis (:class:`multiarm.contacts.joint.JointFrame`).
+from each robot's kinematics, contact points and normals from the system's evaluation, contact
+forces, states and events from the trajectory, and the axes of joints from their frames: a joint's
+frame has the axis as its z axis (:class:`multiarm.contacts.joint.JointFrame`).
 
 Grasps in form closure by pushing contacts on plane faces also show, on each face, the region in
 which a contact keeps the grasp closed; the other contacts stay where they are at the start.
@@ -13,33 +13,28 @@ from __future__ import annotations
 
 import colorsys
 import warnings
-from collections import Counter
-from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from multiarm.assembly.compilation import geometry_of
 from multiarm.contacts.joint import axis_travel, limits_of
 from multiarm.errors import GraspError, ReplayError
-from multiarm.geometry.triangle_mesh import TriangleMesh, merge
+from multiarm.geometry.triangle_mesh import TriangleMesh
 from multiarm.grasp.body.face import cut_into_triangles
 from multiarm.grasp.scenes.judging import SceneGrasp, read_grasp
 from multiarm.results.outcome import RunStatus
 from multiarm.scene import without_code
 from multiarm.scene.control import NoControl
-from multiarm.scene.faults import counted
 from multiarm.viewer.animation import (
     Animation,
     Body,
     Dial,
     HingeTracks,
-    along,
     moving,
-    rotations,
 )
+from multiarm.viewer.body_poses import BodyPoses
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import (
     contacts_of,
@@ -48,21 +43,20 @@ from multiarm.viewer.contact_tracks import (
     placed,
     surface_bodies,
 )
-from multiarm.viewer.shapes import PLAIN, geometry_mesh, is_mesh_file, object_mesh
-from multiarm.viewer.solids import Z_TO_X, box, capsule, cylinder
+from multiarm.viewer.robot_bodies import Shapes, bodies_of_arms, bodies_of_robot
+from multiarm.viewer.shapes import object_mesh
+from multiarm.viewer.solids import Z_TO_X, box, cylinder
 
 if TYPE_CHECKING:
-    from multiarm.arms.arm import Arm
     from multiarm.contacts.joint import JointFrame
     from multiarm.dynamics.system import System
     from multiarm.grasp.seventh_contact.contact_region import ContactRegion
     from multiarm.results.trajectory import Trajectory
-    from multiarm.scene import JointSpec
+    from multiarm.scene import JointSpec, Scene
 
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
 OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
-WHITE = np.ones(3)  # a tint that leaves colours as they are
 MOST_FRAMES = 6000
 
 
@@ -78,25 +72,19 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     """
     rows = frame_rows(trajectory.time, fps / speed)
     system, missing = _system(trajectory)
-    colors = arm_colors(system)
-    bodies = [_object(trajectory, rows)]
-    angles = {name: trajectory.joint_positions[name][rows] for name in system.arm_names}
-    shapes = _Shapes(meshes)
-    feet = {}  # of each robot: where it stands
-    for group in system.scene.arm_groups:
-        arms = [system.arms[name] for name in group.arms]
-        links, trunk = _robot_bodies(arms, angles, colors, shapes)
-        bodies += links + trunk
-        feet[group.arms[0]] = foot = arms[0].files.base.copy()
-        foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
+    colors = colors_of(system)
+    poses = BodyPoses(system, trajectory, rows)
+    links, feet, floors = _robots(system, poses.angles, colors, Shapes(meshes))
+    bodies = [_object(trajectory, rows), *links]
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
         bodies += region_bodies(grasp, trajectory, rows, colors)
     plain = grasp is not None and grasp.body is not None  # its faces are the object's own
-    bodies += surface_bodies(system, trajectory, rows, colors, faces=not plain)
+    bodies += surface_bodies(system, trajectory, poses, colors, faces=not plain)
     ground = ground_bodies(trajectory, rows, object_size(system))
     bodies += ground
-    floor = min([foot[2, 3] for foot in feet.values()] + [lowest(body) for body in ground])
+    floors += [lowest(body) for body in ground]
+    floor = min(floors or map(lowest, bodies))
     bodies += columns(feet, floor, len(rows))
     contacts = contacts_of(system, trajectory, rows, colors)
     note = "" if trajectory.status == RunStatus.COMPLETED else trajectory.message
@@ -106,7 +94,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         time=trajectory.time[rows],
         bodies=bodies,
         contacts=contacts,
-        hinges=hinges_of(system, trajectory, rows, colors),
+        hinges=hinges_of(system, poses, colors),
         floor=float(floor),
         note="; ".join([*notes, *missing]),
         event_places=event_places(trajectory, trajectory.time[rows], contacts),
@@ -128,14 +116,18 @@ def _system(trajectory: Trajectory) -> tuple[System, list[str]]:
     not_drawn = [item for item in left_out if item.arm]
     if not not_drawn:
         return system, []
-    arms = ", ".join(dict.fromkeys(f"arm {item.arm!r}" for item in not_drawn))
+    owners = ", ".join(dict.fromkeys(_joint_words(scene, item.arm) for item in not_drawn))
     missing = (
-        f"contacts and surfaces of {arms} that need "
+        f"contacts and surfaces of {owners} that need "
         f"{', '.join(dict.fromkeys(item.what for item in not_drawn))} are not drawn: code that a "
         "result names is not loaded"
     )
     warnings.warn(missing, stacklevel=4)
     return system, [missing]
+
+
+def _joint_words(scene: Scene, connection: str | None) -> str:
+    return f"{'arm' if connection in scene.arms else 'joint'} {connection!r}"
 
 
 def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
@@ -159,19 +151,59 @@ def frame_rows(time: np.ndarray, rate: float) -> np.ndarray:
     return rows[np.diff(time[rows], prepend=-np.inf) > 0]
 
 
-def arm_colors(system: System) -> dict[str, np.ndarray]:
-    """Return a colour, sRGB (3,) in 0..1, for each arm: its own, or one of a palette."""
-    chosen = {name: spec.color for name, spec in system.scene.arms.items()}
-    return {
-        name: np.array(color[:3]) if color is not None else _palette_color(i)
-        for i, (name, color) in enumerate(chosen.items())
-    }
+def colors_of(system: System) -> dict[str, np.ndarray]:
+    """Return a colour, sRGB (3,) in 0..1, for each arm, connection, and tip of a robot.
+
+    It is that of the scene, or one of a palette.  A connection has the colour of its tip; where its
+    bodies are no tips, one more of the palette.
+    """
+    scene, colors = system.scene, dict[str, np.ndarray]()
+    for name, arm in scene.arms.items():
+        colors[name] = _color(arm.color, len(colors))
+    for name, robot in scene.robots.items():
+        for tip in robot.tips:
+            colors[f"{name}/{tip}"] = _color(robot.color, len(colors))
+    for name, connection in system.model.connections.items():
+        tips = [str(body) for body in (connection.first, connection.second)]
+        of_tip = next((colors[tip] for tip in tips if tip in colors), None)
+        colors[name] = _color(None, len(colors)) if of_tip is None else of_tip
+    return colors
+
+
+def _color(chosen: tuple[float, ...] | None, place: int) -> np.ndarray:
+    return _palette_color(place) if chosen is None else np.array(chosen[:3])
 
 
 def _palette_color(i: int) -> np.ndarray:
     if i < len(PALETTE):
         return rgb(PALETTE[i])
     return np.array(colorsys.hsv_to_rgb(0.618034 * i % 1.0, 0.55, 0.8))  # hues far apart
+
+
+def _robots(
+    system: System, angles: dict[str, np.ndarray], colors: dict[str, np.ndarray], shapes: Shapes
+) -> tuple[list[Body], dict[str, np.ndarray], list[float]]:
+    """Return links, the poses on which robots with fixed bases stand, and heights of the floor."""
+    bodies, feet, floors = [], {}, []
+    for group in system.scene.arm_groups:
+        arms = [system.arms[name] for name in group.arms]
+        links, trunk = bodies_of_arms(arms, angles, colors, shapes)
+        bodies += links + trunk
+        feet[group.arms[0]] = foot = arms[0].files.base.copy()
+        foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
+        floors.append(foot[2, 3])
+    for name, spec in system.scene.robots.items():
+        tips = {tip: colors[f"{name}/{tip}"] for tip in spec.tips}
+        links, base = bodies_of_robot(system.arms[name], angles[name], tips, shapes)
+        bodies += links
+        foot = system.arms[name].files.base.copy()
+        if foot[2, 2] < UPRIGHT:  # it hangs
+            continue
+        foot[2, 3] = min([foot[2, 3], *map(lowest, base)])
+        floors.append(foot[2, 3])
+        if not spec.base.moves:
+            feet[name] = foot
+    return bodies, feet, floors
 
 
 def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
@@ -190,202 +222,52 @@ def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
     )
 
 
-def _robot_bodies(
-    arms: list[Arm],
-    angles: dict[str, np.ndarray],
-    colors: dict[str, np.ndarray],
-    shapes: _Shapes,
-) -> tuple[list[Body], list[Body]]:
-    """Return the links of a robot in the colours of its arms, and its trunk.
-
-    The trunk, of several arms only, are the links that no arm moves, in the robot's own colours.
-    """
-    first = arms[0]
-    if len(arms) == 1:
-        parts = shapes.parts(first, shapes.visuals(first))
-        return _bodies(first, parts, angles[first.name], colors[first.name]), []
-    bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
-    carried = {item.name for arm in arms for item in visuals[arm.name] if item.parentJoint > 0}
-    trunk = [item for item in visuals[first.name] if item.name not in carried]
-    for arm in arms:
-        parts = shapes.parts(arm, [item for item in visuals[arm.name] if item.parentJoint > 0])
-        if trunk:  # else the bars from the base to the arms stand for it
-            parts = [part for part in parts if part.joint > 0]
-        bodies += _bodies(arm, parts, angles[arm.name], colors[arm.name])
-    fixed = shapes.seen(first, trunk, subdued=False)
-    robot = "+".join(arm.name for arm in arms)
-    return bodies, _bodies(first, fixed, angles[first.name], WHITE, robot)
-
-
-def _bodies(
-    arm: Arm, parts: list[_Part], angles: np.ndarray, color: np.ndarray, name: str = ""
-) -> list[Body]:
-    """Return parts as bodies that move with an arm's joints, below ``arms/name``."""
-    poses = np.empty((len(parts), len(angles), 7))
-    data = arm.model.createData()
-    for k, row in enumerate(angles):
-        pin.forwardKinematics(arm.model, data, arm.configuration(row))
-        placed = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
-        poses[:, k] = np.reshape(placed, (-1, 7))
-    names = _distinct([part.name.replace("/", "_") for part in parts])
-    return [
-        Body(f"arms/{name or arm.name}/{link}", part.mesh, pose[:, :3], pose[:, 3:], color)
-        for link, part, pose in zip(names, parts, poses, strict=True)
-    ]
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A shape fixed to a joint's moving frame (joint 0: the world)."""
-
-    name: str
-    joint: int
-    placement: pin.SE3
-    mesh: TriangleMesh
-
-
-class _Shapes:
-    """The visuals of arms; a mesh file is read once."""
-
-    def __init__(self, meshes: bool) -> None:
-        self._meshes = meshes  # False leaves mesh files out
-        self._of_files: dict[tuple, TriangleMesh] = {}
-
-    def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
-        """Return all visuals of an arm's robot and tool."""
-        items = arm.visual_model().geometryObjects
-        return [item for item in items if self._meshes or not is_mesh_file(item)]
-
-    def parts(self, arm: Arm, visuals: list[pin.GeometryObject]) -> list[_Part]:
-        """Return visuals of an arm as parts; bars replace links without a shape."""
-        parts = self.seen(arm, visuals)
-        return parts + _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
-
-    def seen(
-        self, arm: Arm, visuals: list[pin.GeometryObject], subdued: bool = True
-    ) -> list[_Part]:
-        """Return visuals as parts; a warning names those that cannot be shown."""
-        parts: list[_Part] = []
-        lost: dict[str, None] = {}  # each file once
-        for item in visuals:
-            try:
-                mesh = self._mesh(item, subdued)
-            except ValueError as error:
-                shape = item.meshPath if is_mesh_file(item) else "a shape"
-                lost[f"{shape} of link '{item.name.rpartition('_')[0]}' ({error})"] = None
-                continue
-            parts.append(_Part(item.name, item.parentJoint, item.placement, mesh))
-        if lost:
-            warnings.warn(
-                f"{arm.files.urdf.name}: the replay leaves out {counted([*lost], 3)}; a joint with "
-                "no shape left has a bar",
-                stacklevel=2,
-            )
-        return parts
-
-    def _mesh(self, item: pin.GeometryObject, subdued: bool) -> TriangleMesh:
-        if not is_mesh_file(item):
-            return geometry_mesh(item, subdued)
-        color = (item.overrideMaterial, *item.meshColor)
-        key = (item.meshPath, *item.meshScale, *color, subdued)
-        if key not in self._of_files:
-            self._of_files[key] = geometry_mesh(item, subdued)
-        return self._of_files[key]
-
-
-def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
-    """Return bars from each of the `joints` to the next joint or the tip."""
-    model = arm.model
-    ends: dict[int, list[np.ndarray]] = {joint: [] for joint in range(model.njoints)}
-    for child in range(1, model.njoints):
-        ends[model.parents[child]].append(model.jointPlacements[child].translation)
-    ends[arm.tip.joint].append(arm.tip.translation)
-    base = arm.files.base[:3, 3]  # joint 0 is the world, where the arm begins at its base
-    starts = {joint: base if joint == 0 else np.zeros(3) for joint in joints}
-    reach = sum(np.linalg.norm(e - starts.get(j, base * (j == 0))) for j in ends for e in ends[j])
-    parts = []
-    for joint, start in starts.items():
-        bars = [
-            _bar(start, end, 0.03 * reach)
-            for end in ends[joint]
-            if np.linalg.norm(end - start) > 1e-3 * reach
-        ]
-        if bars:
-            shape = merge(bars).painted(PLAIN)
-            parts.append(_Part(f"{model.names[joint]}_bar", joint, pin.SE3.Identity(), shape))
-    return parts
-
-
-def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> TriangleMesh:
-    span = end - start
-    length = float(np.linalg.norm(span))
-    pose = np.eye(4)
-    pose[:3, :3] = rotations(along(span[None, None] / length)[0])[0]
-    pose[:3, 3] = (start + end) / 2
-    return capsule(radius, length).moved(pose)
-
-
-def _distinct(names: list[str]) -> list[str]:
-    """Number the names that occur more than once: a node of the scene tree has one name."""
-    counts = Counter(names)
-    seen: Counter[str] = Counter()
-    result = []
-    for name in names:
-        seen[name] += 1
-        result.append(name if counts[name] == 1 else f"{name}_{seen[name]}")
-    return result
-
-
 # Joints that are drawn as one thing on the object; a cross has two axles.
 HINGE_SHAPES = ("axle", "rail", "sleeve", "ball")
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
 
-def hinges_of(
-    system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
-) -> list[HingeTracks]:
-    """Return the visible joints at some samples (`rows`) of a run."""
-    object_poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    object_poses[:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
-    object_poses[:, :3, 3] = trajectory.object_position[rows]
+def hinges_of(system: System, poses: BodyPoses, colors: dict[str, np.ndarray]) -> list[HingeTracks]:
+    """Return the visible joints at the samples of some poses."""
     hinges = []
     for joint in system.scene.joints:
         if joint.drawn_as not in (*HINGE_SHAPES, "cross"):
             continue
-        arm, frame = system.arms[joint.arm], system.frames[joint.arm]
-        angles = trajectory.joint_positions[joint.arm][rows]
-        tip_poses = np.array([arm.tip_pose(row) for row in angles])
-        hinges += _hinges(joint, frame, object_poses, tip_poses, colors[joint.arm])
+        name = joint.connection
+        frame = system.frames[name]
+        on_first = poses.of(joint.first) @ frame.on_tip  # (K, 4, 4)
+        on_second = poses.of(joint.second) @ frame.on_object
+        hinges += _hinges(joint, frame, on_first, on_second, colors[name])
     return hinges
 
 
 def _hinges(
     joint: JointSpec,
     frame: JointFrame,
-    object_poses: np.ndarray,
-    tip_poses: np.ndarray,
+    on_first: np.ndarray,
+    on_second: np.ndarray,
     color: np.ndarray,
 ) -> list[HingeTracks]:
-    on_object, on_tip = object_poses @ frame.on_object, tip_poses @ frame.on_tip  # (K, 4, 4)
-    if joint.drawn_as == "cross":  # about the object's x and the arm's y axis
-        axles = (on_object @ Z_TO_X, on_tip @ Z_TO_X.T)  # z along x, and along y
+    name = joint.connection
+    if joint.drawn_as == "cross":  # about the second body's x and the first one's y axis
+        axles = (on_second @ Z_TO_X, on_first @ Z_TO_X.T)  # z along x, and along y
         return [
-            HingeTracks(joint.arm, f"{joint.arm}/{k}", "axle", color, *placed(axle))
+            HingeTracks(name, f"{name}/{k}", "axle", color, *placed(axle))
             for k, axle in enumerate(axles, start=1)
         ]
-    turn, slide = axis_travel(on_object, on_tip)
+    turn, slide = axis_travel(on_second, on_first)
     dials = tuple(
         Dial(limit.turns, (limit.low, limit.high), turn if limit.turns else slide)
         for limit in limits_of(joint)
         if limit.along_axis
     )
-    place = placed(on_object @ _turned_outwards(frame.on_object))
-    return [HingeTracks(joint.arm, joint.arm, joint.drawn_as, color, *place, dials)]
+    place = placed(on_second @ _turned_outwards(frame.on_object))
+    return [HingeTracks(name, name, joint.drawn_as, color, *place, dials)]
 
 
 def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
-    """Return the turn about z that points x away from the object's centre, where a sector is
-    visible best; the identity if the axis passes through the centre.
+    """Return the turn about z that points x away from the second body's origin, where a sector is
+    visible best; the identity if the axis passes through the origin.
     """
     x, y, _ = on_object[:3, :3].T @ on_object[:3, 3]
     turn, away = np.eye(4), np.hypot(x, y)
@@ -399,6 +281,7 @@ GROUND_COLOR = np.array([0.62, 0.65, 0.69])
 GROUND_THICKNESS, GROUND_MARGIN = 0.02, 3.0
 # Radius of a column over its height, at least and at most [m]; lower ones are not drawn.
 SLENDER, THINNEST, THICKEST, LOWEST = 0.2, 0.03, 0.1, 0.02
+UPRIGHT = 0.99  # vertical part of a base's axis z, at least
 
 
 def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list[Body]:
@@ -433,7 +316,7 @@ def columns(feet: dict[str, np.ndarray], floor: float, frames: int) -> list[Body
     bodies = []
     for name, foot in feet.items():
         height = float(foot[2, 3] - floor)
-        if height < LOWEST or foot[2, 2] < 0.99:
+        if height < LOWEST or foot[2, 2] < UPRIGHT:
             continue
         mesh = cylinder(float(np.clip(SLENDER * height, THINNEST, THICKEST)), height)
         middle = np.eye(4)

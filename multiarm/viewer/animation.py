@@ -1,8 +1,8 @@
 """An animation: what a replay shows, independent of renderers and of robot libraries.
 
-It is a list of bodies (a mesh and its pose at every frame), the contacts of each arm (point,
-normal, force at every frame), the axes of its joint, and the events.  `animate` makes it from a
-trajectory, `drawing` draws it.
+It is a list of bodies (a mesh and its pose at every frame), the contacts of each arm or connection
+(point, normal, force at every frame), the axes of its joint, and the events. `animate` makes it
+from a trajectory, `drawing` draws it.
 """
 
 from __future__ import annotations
@@ -36,19 +36,20 @@ class Body:
 
 @dataclass(frozen=True)
 class ContactTracks:
-    """The N contacts of one arm, or of the object with the floor."""
+    """The N contacts of one arm or connection, or of the object with the floor."""
 
-    arm: str  # or "floor"
+    arm: str  # or the connection, or "floor"
     color: np.ndarray  # sRGB in 0..1, shape (3,)
     point: np.ndarray  # world position [m], shape (K, N, 3)
-    normal: np.ndarray  # unit vector into the object, world axes, shape (K, N, 3)
-    force: np.ndarray  # along the normal [N], shape (K, N); positive pushes the object
+    # unit vector into the object, or the connection's second body, world axes, shape (K, N, 3)
+    normal: np.ndarray
+    force: np.ndarray  # along the normal [N], shape (K, N); positive pushes that body
     # codes of `channels.ContactState`, shape (K, N); absent for permanent contacts
     state: np.ndarray | None = None
     names: tuple[str, ...] = ()  # as in events
     # True for a row of friction at another contact's point: an arrow without a mark
     friction: tuple[bool, ...] = ()
-    total: np.ndarray | None = None  # force of all contacts on the object, world [N], shape (K, 3)
+    total: np.ndarray | None = None  # force of all contacts on that body, world [N], shape (K, 3)
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,11 @@ class Dial:
 class HingeTracks:
     """The visible form of a joint.
 
-    An "axle": the tip turns about the axis; a "rail": it slides along it; a "sleeve": both; a
-    "ball": it turns every way.
+    An "axle": the first body turns about the axis; a "rail": it slides along it; a "sleeve": both;
+    a "ball": it turns every way.
     """
 
-    arm: str
+    arm: str  # or the connection
     name: str  # its path below the joints' node, such as ``left`` or ``left/2``
     shape: str  # "axle", "rail", "sleeve" or "ball"
     color: np.ndarray  # sRGB in 0..1, shape (3,)

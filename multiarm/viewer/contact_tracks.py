@@ -32,7 +32,9 @@ from multiarm.results.channels import channels_of
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import family_of
 from multiarm.results.event_log import Event, timed
+from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
+from multiarm.viewer.body_poses import BodyPoses, pose_at
 from multiarm.viewer.solids import revolve
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ FLOOR_COLOR = np.array([0.36, 0.40, 0.46])
 def contacts_of(
     system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
 ) -> list[ContactTracks]:
-    """Return the contacts of each arm, and of the floor, at some samples (`rows`) of a run."""
+    """Return the contacts of connections and of the floor at some samples (`rows`) of a run."""
     places = [_places(system, trajectory, row) for row in rows]
     points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
     tracks, wrenches = [], channels_of(trajectory.channels, "wrench")
@@ -108,11 +110,11 @@ def row_states(
 
 
 def rows_of(system: System, owner: str) -> range:
-    """Rows of W of an arm, or of the object's own contacts."""
+    """Rows of W of an arm, a connection, a robot, or of the object's own contacts."""
     layout = system.model.layout
     rows = layout.surroundings
-    if owner in layout.names:
-        rows = layout.contacts_of(layout.names.index(owner))
+    if owner in layout.owners:
+        rows = layout.contacts_of(layout.owners.index(owner))
     return range(rows.start, rows.stop)
 
 
@@ -158,30 +160,29 @@ CELLS = 40
 def surface_bodies(
     system: System,
     trajectory: Trajectory,
-    rows: np.ndarray,
+    poses: BodyPoses,
     colors: dict[str, np.ndarray],
     faces: bool = True,
 ) -> list[Body]:
-    """Return the contact surfaces of joints that are drawn so at some samples (`rows`).
+    """Return the contact surfaces of joints that are drawn so at the samples of some poses.
 
     Those of other kinds only serve to define a hinge.
     Plane faces of the object are included if ``faces`` is true.
     """
-    on_object = trajectory.object_position[rows], trajectory.object_quaternion_xyzw[rows]
     extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
     bodies = []
     for joint in system.scene.joints:
         if joint.drawn_as != "surfaces":
             continue
-        name, arm = joint.arm, system.arms[joint.arm]
-        angles = trajectory.joint_positions[name][rows]
-        poses = {"arm": placed([arm.tip_pose(row) for row in angles]), "object": on_object}
+        name, sides = joint.connection, {"arm": joint.first, "object": joint.second}
+        moved = {side: placed(poses.of(body)) for side, body in sides.items()}
         records = [record for record in system.contacts[name] if isinstance(record, Contact)]
-        touched = _touched(system, name)
-        states = row_states(trajectory, name, records, rows)
+        touched = _touched(system, name, sides)
+        states = row_states(trajectory, name, records, poses.rows)
         for (side, *_), on_surface in _surfaces(records).items():
             k = on_surface[0]
-            if side == "object" and not faces and records[k].object.kind == PLANE:
+            on_object = sides[side] == OBJECT
+            if on_object and not faces and records[k].object.kind == PLANE:
                 continue
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
             if mesh is None:
@@ -190,7 +191,7 @@ def surface_bodies(
             if states is not None:
                 met = (states[:, on_surface] != ContactState.OPEN).any(axis=1)
             path = f"surfaces/{name}/{k + 1}_{side}"
-            bodies.append(Body(path, mesh, *poses[side], colors[name], SURFACE_OPACITY, met))
+            bodies.append(Body(path, mesh, *moved[side], colors[name], SURFACE_OPACITY, met))
     return bodies
 
 
@@ -264,18 +265,17 @@ def _grid(points: np.ndarray) -> TriangleMesh:
     return TriangleMesh(points.reshape(-1, 3), triangles.reshape(-1, 3))
 
 
-def _touched(system: System, name: str) -> dict[str, np.ndarray]:
-    """Return the contact points of an arm at the start, by side, in that body's frame (N, 3)."""
+def _touched(system: System, name: str, sides: Mapping[str, BodyName]) -> dict[str, np.ndarray]:
+    """Return the contact points of a connection at the start, by side, in its body's frame (N, 3).
+
+    The frame of a link is that of its tip.
+    """
     start = system.initial_state()
     rows = [k for k in rows_of(system, name) if isinstance(system.model.records[k], Contact)]
     with system.borrow() as data:
         points = contact_places(data, start)[0][rows]
-    quaternion, position = pin.Quaternion(start.object_quaternion_xyzw), start.object_position
-    tip = system.arms[name].tip_pose(start.joint_positions[name])
-    return {
-        "arm": (points - tip[:3, 3]) @ tip[:3, :3],
-        "object": (points - position) @ quaternion.toRotationMatrix(),
-    }
+    poses = {side: pose_at(system, start, body) for side, body in sides.items()}
+    return {side: (points - pose[:3, 3]) @ pose[:3, :3] for side, pose in poses.items()}
 
 
 def object_size(system: System) -> float:

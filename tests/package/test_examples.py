@@ -265,6 +265,42 @@ def test_a_load_is_weighed_by_how_it_moves(printed):
 
 
 @pytest.mark.slow
+def test_a_torso_takes_the_rise_where_its_posture_says_so(printed):
+    text = printed("17_torso_lifts_a_box.py")
+    assert text.count("completed: ") == 2
+    assert max(row[0] for row in figures("the box is# mm off", text)) < 0.2
+    alone, led = (row[0] for row in figures("the torso rose by# of 120 mm", text))
+    assert abs(alone) < 12.0 and led > 108.0
+    carried = [row[0] for row in figures("carries# N of the weight", text)]
+    assert sum(carried) == pytest.approx(3.0 * 9.81, abs=0.2)
+
+
+@pytest.mark.slow
+def test_two_carts_carry_a_table_along_an_arc(printed):
+    text = printed("18_two_carts_carry_a_table.py")
+    ((way, error),) = figures("completed: the table came# m, and is# mm off", text)
+    assert way == pytest.approx(2.0 * np.sqrt(2.0), abs=0.01) and error < 2.0
+    bases = figures("base_x# m, base_y# m, base_yaw# rad", text)
+    # a quarter of a circle of 2 m about (0, 2) m, from (-1.35, 0) and, turned round, (1.35, 0) m
+    assert bases[0] == pytest.approx((2.0 + 1.35, 2.0 - 1.35, np.pi / 2), abs=0.02)
+    assert bases[1] == pytest.approx((-2.0 + 1.35, -2.0 - 1.35, np.pi / 2), abs=0.02)
+    assert max(row[0] for row in figures("moved by up to# rad", text)) < 0.1
+    weights = [row[0] for row in figures("N,# N of the weight", text)]
+    assert sum(weights) == pytest.approx(12.0 * 9.81, abs=1.0)
+
+
+@pytest.mark.slow
+def test_pads_of_a_linkage_press_as_virtual_work_says(printed):
+    text = printed("19_four_bar_gripper.py")
+    assert "completed: the box rose by 100.0 mm" in text
+    ((rows, rank),) = figures("# rows, of which# are independent", text)
+    assert (rows, rank) == (20, 12)
+    ((pressed, expected),) = figures("presses with# N; by virtual work# N", text)
+    assert pressed == pytest.approx(expected, rel=1e-4)
+    assert figures("largest gap of any joint# m", text)[0][0] < 1e-11
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

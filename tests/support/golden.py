@@ -1,8 +1,8 @@
 """Frozen results: what a change of the program's structure must not change.
 
 The file ``tests/data/golden.json.xz`` has, for every case, the states at which it was evaluated and
-all results.  Scenes are those of the examples, of :data:`multiarm.problems.HARD_CASES` and of
-``tests/data/golden_scenes.json``, which names every effect, joint kind, control and integrator.
+all results. Scenes are those of the examples with arms, of :data:`multiarm.problems.HARD_CASES` and
+of ``tests/data/golden_scenes.json``, which names every effect, joint kind, control and integrator.
 
     python tests/support/golden.py check [FILE] [--only TEXT]   compare: equal, or how far off
     python tests/support/golden.py write [FILE] [--only TEXT]   freeze today's results
@@ -101,6 +101,8 @@ def cases() -> Iterator[Case]:
     """All cases; of most scenes two, with Pinocchio's and with compiled arms."""
     run = {"run": DEFAULT_RUN}
     for path in sorted(SCENES.glob("*.yaml")):
+        if ma.load_scene(path).robots:
+            continue
         for arms in OTHER_ARMS:
             yield Case(f"example {path.stem} {arms}", path.name, arms, run)
     short = {"run": {**DEFAULT_RUN, "duration": 0.1, "output_step": 0.05}}

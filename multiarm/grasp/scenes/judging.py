@@ -147,16 +147,15 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
     points, normals = (points - state.object_position) @ R, normals @ R
     body = body_of(system.scene.object)
     touches: list[_Touch] = []
-    left_out, row = [], -1
-    for arm in system.arm_names:
-        for k, contact in enumerate(system.contacts[arm]):
-            row += 1
-            if not _in_a_point(contact):
-                left_out.append(f"{arm}/{contact.name}")
+    left_out, holding, layout = [], _holding(system), system.model.layout
+    for owner, first_row in zip(layout.owners, layout.first_contact[:-1], strict=True):
+        for k, contact in enumerate(system.contacts.get(owner, ())):
+            if owner not in holding or not _in_a_point(contact):
+                left_out.append(f"{owner}/{contact.name}")
                 continue
-            touches.append(_Touch(row, arm, k, pulls=False))
+            touches.append(_Touch(first_row + k, owner, k, pulls=False))
             if not contact.pushes_only:
-                touches.append(_Touch(row, arm, k, pulls=True))
+                touches.append(_Touch(first_row + k, owner, k, pulls=True))
     if not touches:
         raise GraspError("no joint of this scene holds the object by contacts in points")
     names = [
@@ -178,8 +177,14 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
         faces=faces,
         body=body,
         left_out=tuple(left_out),
-        frames={arm: system.frames[arm].on_object for arm in system.arm_names},
+        frames={name: system.frames[name].on_object for name in holding},
     )
+
+
+def _holding(system: System) -> list[str]:
+    """The connections of links with the object."""
+    pairs = system.model.connections.values()
+    return [pair.name for pair in pairs if pair.on_object and pair.first.is_link]
 
 
 def body_of(spec: ObjectSpec) -> Polyhedron | None:

@@ -1,0 +1,86 @@
+"""What commands print of robots with several tips."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from commands import multiarm
+from repository import SCENES
+from tree_scenes import gripper_scene
+
+import multiarm as ma
+
+GRIPPER, TORSO = SCENES / "four_bar_gripper.yaml", SCENES / "torso_lifts_a_box.yaml"
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory):
+    """What ``multiarm check`` prints and writes of the gripper."""
+    path = tmp_path_factory.mktemp("check") / "check.json"
+    result = multiarm("check", GRIPPER, "--json", path)
+    assert result.exit_code == 0, result.output
+    return result.output, json.loads(path.read_text())
+
+
+def test_check_counts_the_freedom_of_linkages(checked):
+    _, facts = checked
+    freedom = facts["freedom"]
+    # 6 of the box and 7 joints; the linkages and the box between the pads leave the lift alone.
+    # Rows: weld 6, planar 3, two hinges of 5, one coupling.
+    assert freedom["degrees_of_freedom"] == 13 and freedom["constraints"] == 6 + 3 + 2 * 5 + 1
+    assert freedom["mobility"] == 1 and freedom["rank"] == 12
+
+
+def test_check_shows_a_robot_with_its_tips_couplings_and_moving_base(checked):
+    text, facts = checked
+    (robot,) = facts["robots"].values()
+    assert facts["arms"] == {} and list(facts["robots"]) == ["gripper"]
+    assert robot["tips"] == {"left": "left_pad", "right": "right_pad"}
+    assert robot["base_joints"] == ["base_z"] and next(iter(robot["joints"])) == "base_z"
+    (mimic,) = robot["mimic"]
+    assert (mimic["joint"], mimic["leader"]) == ("right_driver_joint", "left_driver_joint")
+    assert robot["verdict"] == "dependent rows"
+    for words in ("moves by base_z", "right_driver_joint = 1 left_driver_joint", "left_hinge"):
+        assert words in text
+
+
+def test_check_finds_what_connections_leave_free_wherever_the_links_have_their_frames(checked):
+    _, facts = checked
+    joints = {joint["connection"]: joint for joint in facts["joints"]}
+    assert list(joints) == ["gripper/left", "gripper/right", "left_hinge", "right_hinge"]
+    assert joints["gripper/left"]["free_motions"] == []
+    for side in ("left", "right"):
+        hinge = joints[f"{side}_hinge"]
+        assert (hinge["first"], hinge["second"]) == (
+            f"gripper/{side}_follower_end",
+            f"gripper/{side}_coupler",
+        )
+        assert hinge["arm"] is None and hinge["rank"] == 5
+        assert hinge["free_motions"] == ["turn about z"]
+
+
+def test_pose_prints_all_joints_of_a_robot_whose_posture_is_sought():
+    result = multiarm("pose", TORSO)
+    assert result.exit_code == 0, result.output
+    line = result.output.strip().splitlines()[-1]
+    posture = yaml.safe_load(line)["tiago"]["posture"]
+    start = ma.compile_system(ma.load_scene(TORSO)).initial_state().joint_positions["tiago"]
+    np.testing.assert_allclose(posture, start, atol=1e-8)
+
+
+def test_pose_says_that_robots_have_postures(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(json.dumps(gripper_scene()))
+    result = multiarm("pose", path)
+    assert result.exit_code == 2 and "every robot a posture" in result.output
+
+
+def test_a_summary_has_forces_by_connection(tmp_path):
+    result = multiarm("run", GRIPPER, "--duration", 0.1, "--out", tmp_path / "run.h5")
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert "largest forces, gripper/left" in words and "largest forces, left_hinge" in words
+    assert "not recorded" not in words
