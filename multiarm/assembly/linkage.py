@@ -70,7 +70,7 @@ class Linkage:
     data : Data
         Its arrays hold the posture at the beginning, with its kinematics.
     arms : sequence of int
-        Arms that may move.
+        Blocks of robots that may move.
     with_object : bool
         Whether the object may move.
     limits : ndarray, shape (n, 2)
@@ -150,7 +150,7 @@ class Linkage:
         try:
             return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
-            raise SolverError(arm_inertia_text(data.model.arm_names[i])) from None
+            raise SolverError(arm_inertia_text(data.model.blocks[i])) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""

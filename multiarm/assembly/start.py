@@ -242,11 +242,11 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     tolerance = projection_tolerance(data, size)
     if max(gaps.values()) <= tolerance:
         return True
-    everything = list(range(len(data.model.arm_names)))
+    everything = list(data.model.layout.blocks_of_robots)
     linkage = Linkage(data, everything, True, limits)
     begin = linkage.posture()
     closed, swings = True, False
-    for i, gap in enumerate(_gaps_by_robot(data, gaps)):
+    for i, gap in enumerate(_gaps_by_block(data, gaps)):
         if gap > tolerance:
             arm = Linkage(data, [i], False, limits)
             # a larger motion than this for its gap is a swing past a singular posture
@@ -266,11 +266,11 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     raise SceneError(cannot_close(data, name, gaps, linkage, end))
 
 
-def _gaps_by_robot(data: Data, gaps: dict[str, float]) -> list[float]:
-    """Largest gap of every robot, from those of its connections [m]."""
+def _gaps_by_block(data: Data, gaps: dict[str, float]) -> list[float]:
+    """Largest gap of every block of a robot, from those of the owners of its rows [m]."""
     layout = data.model.layout
-    owners = [layout.owners_of_block(i) for i in range(len(layout.names))]
-    return [max(gaps[layout.owners[c]] for c in of_robot) for of_robot in owners]
+    of_blocks = [layout.owners_of_block(i) for i in layout.blocks_of_robots]
+    return [max((gaps[layout.owners[c]] for c in owners), default=0.0) for owners in of_blocks]
 
 
 def _check_way_round(data: Data, scene: Scene, name: str) -> None:
@@ -317,7 +317,7 @@ def _close_rates(data: Data, size: float) -> float:
     """
     b, joints = data.arrays, data.model.layout.joints
     free = np.full((joints, 2), [-np.inf, np.inf])
-    linkage = Linkage(data, list(range(len(data.model.arm_names))), True, free, True, size)
+    linkage = Linkage(data, list(data.model.layout.blocks_of_robots), True, free, True, size)
     place, lost = linkage.posture(), 0.0
     v = b.state.velocity / linkage.unit
     # 100 roundings of the terms that cancel in a rate

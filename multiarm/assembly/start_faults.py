@@ -106,7 +106,8 @@ def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     b, faults, tolerance = data.arrays, [], projection_tolerance(data)
     wrenches = b.rows.W_o[linkage.rows] * linkage.unit[:6]
     phi = data.contact_rows.gap[linkage.rows]
-    for arm, (of_arm, _) in zip(data.model.arm_names, linkage.blocks, strict=True):
+    robots = data.model.blocks[: len(linkage.blocks)]
+    for arm, (of_arm, _) in zip(robots, linkage.blocks, strict=True):
         U, s, _ = np.linalg.svd(wrenches[of_arm])
         dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
         opposed = dependent @ (dependent.T @ phi[of_arm])

@@ -162,8 +162,10 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     command.targets.independent = True
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
-    for i in range(data.control.power.size):  # the surroundings have no joints
+    for i in range(work.first_joint.size - 1):
         d0, d1 = work.first_joint[i], work.first_joint[i + 1]
+        if d0 == d1:  # the surroundings
+            continue
         r0, r1 = work.first_contact[i], work.first_contact[i + 1]
         holds = law.free_stiffness == 0.0 or hold_pose(
             i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,

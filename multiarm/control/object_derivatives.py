@@ -121,8 +121,10 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
     status = write_derivatives_at_rest(struct, derivatives.excess, derivatives.twist)
     differentiate_contact_forces(data, work, motion, excess, derivatives)
     add_inverse_dynamics(data, work, motion)
-    for i in range(data.control.power.size):  # the surroundings have no joints
+    for i in range(work.first_joint.size - 1):
         n = work.first_joint[i + 1] - work.first_joint[i]
+        if n == 0:  # the surroundings
+            continue
         rates = arm_columns(n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])

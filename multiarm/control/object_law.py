@@ -63,7 +63,7 @@ class ObjectCommand(NamedTuple):
             a_j=np.zeros(joints),
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
-            held=np.zeros((len(data.model.arm_names), 6)),
+            held=np.zeros((data.model.layout.block_count, 6)),
             targets=ArmTargets(),
             derivatives=PreparedDerivatives(),
         )

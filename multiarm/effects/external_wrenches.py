@@ -39,7 +39,7 @@ from multiarm.effects.building import BuildContext
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_python
-from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, floats_at, struct_at
+from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints1, Ints2, floats_at, struct_at
 from multiarm.jit.vectors import (
     AXES,
     ZERO,
@@ -66,11 +66,13 @@ class ExternalWrenches(NamedTuple):
     course: Ints1  # time dependence
     on_link: Ints1  # whether it acts on a link, else on the object
     in_body: Ints1  # whether its axes are those of the body, else of the world
-    # of one on a link: number of its pose, arm, first joint, number of joints that carry it
+    # of one on a link: number of its pose, block of the joints that move it, the block's first
+    # joint, number of these joints, and (k, d) these joints, counted from the block's first
     link: Ints1
-    arm: Ints1
+    block: Ints1
     first_joint: Ints1
     joints: Ints1
+    chain: Ints2
     function: Ints1  # address of a function that writes it
     # of a table: its first row among those of all tables, and how many
     first_row: Ints1
@@ -134,21 +136,35 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     A joint displaces the columns of those after it, the point, and axes of the body, by its twist
     about the world's origin.
     """
-    joints, first = wrenches.joints[k], wrenches.first_joint[k]
-    J = floats_at(open_addresses(data.bodies.pointers[wrenches.arm[k]]).jacobian, 6 * joints)
+    count, first, chain = wrenches.joints[k], wrenches.first_joint[k], wrenches.chain[k]
+    J = floats_at(jacobian_address(wrenches, k, data), size_of_jacobian(wrenches, k))
     row, column = chart_places(data).joints + first, force_columns(data).positions + first
-    for i in range(joints):
+    for a in range(count):
+        i = chain[a]
         v, w = vec(J, 6 * i), vec(J, 6 * i + 3)
         df, dm = ZERO, cross(add_cross(v, w, lever), f)
         if follows:
             df, dm = cross(w, f), add_cross(cross(w, m), v, f)
-        for j in range(joints):
+        for b in range(count):
+            j = chain[b]
             twist = vec(J, 6 * j), vec(J, 6 * j + 3)
             slope = dot(twist[0], df) + dot(twist[1], dm)
-            if j > i:
+            if b > a:
                 moved = twist_product((v, w), twist)
                 slope += dot(moved[0], f) + dot(moved[1], m)
             data.slopes.force[row + j, column + i] += slope
+
+
+@inlined
+def jacobian_address(wrenches, k, data):
+    """The Jacobian of the block whose joints move the link of a wrench, column by column."""
+    return open_addresses(data.bodies.pointers[wrenches.block[k]]).jacobian
+
+
+@inlined
+def size_of_jacobian(wrenches, k):
+    """How many numbers it has up to the last joint that moves the link."""
+    return 6 * (wrenches.chain[k, wrenches.joints[k] - 1] + 1) if wrenches.joints[k] > 0 else 0
 
 
 @kernel
@@ -217,9 +233,10 @@ def apply_wrench(wrenches, k, lever, data):
         put(f_o, 0, add(vec(f_o, 0), f))
         put(f_o, 3, add(vec(f_o, 3), m))
         return dot(f, body.velocity) + dot(m, body.spin)
-    joints, first, power = wrenches.joints[k], wrenches.first_joint[k], 0.0
-    J = floats_at(open_addresses(data.bodies.pointers[wrenches.arm[k]]).jacobian, 6 * joints)
-    for j in range(joints):
+    first, power = wrenches.first_joint[k], 0.0
+    J = floats_at(jacobian_address(wrenches, k, data), size_of_jacobian(wrenches, k))
+    for a in range(wrenches.joints[k]):
+        j = wrenches.chain[k, a]
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
         data.forces.f_j[first + j] += torque
         power += torque * data.state.joint_rates[first + j]
@@ -228,7 +245,8 @@ def apply_wrench(wrenches, k, lever, data):
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of external wrenches; their functions have been loaded."""
-    wrenches, breakpoints = _without_course(len(spec)), [np.zeros(0)]
+    longest = max(context.layout.joint_counts)
+    wrenches, breakpoints = _without_course(len(spec), longest), [np.zeros(0)]
     functions: dict[int, Callable] = {}
     for k, wrench in enumerate(spec):
         _place(wrench, context, wrenches, k)
@@ -276,14 +294,18 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     ]
 
 
-def _without_course(count: int) -> ExternalWrenches:
-    """Arrays for a number of wrenches, all of them zero, and no table."""
+def _without_course(count: int, longest: int) -> ExternalWrenches:
+    """Arrays for a number of wrenches, all of them zero, and no table.
+
+    ``longest`` is the largest number of joints of a block.
+    """
     widths = {"frame": 9, "point": 3, "size": 6, "wrench": 6}
     numbers = ("frequency", "phase", "begin", "end")
     tables = {"times": np.zeros(0), "cubics": np.zeros((0, 6, 4))}
-    integers = set(ExternalWrenches._fields) - {*widths, *numbers, *tables}
+    integers = set(ExternalWrenches._fields) - {*widths, *numbers, *tables, "chain"}
     return ExternalWrenches(
         **{name: np.zeros(count, dtype=np.int64) for name in integers},
+        chain=np.zeros((count, longest), dtype=np.int64),
         **{name: np.zeros(count) for name in numbers},
         **{name: np.zeros((count, width)) for name, width in widths.items()},
         **tables,
@@ -295,8 +317,9 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
     frame, point = np.eye(3), np.array(wrench.at)
     if wrench.target is not None:
         link = context.link(*wrench.target)
-        wrenches.on_link[k], wrenches.link[k], wrenches.arm[k] = 1, link.number, link.arm
-        wrenches.first_joint[k], wrenches.joints[k] = link.first, link.joints
+        wrenches.on_link[k], wrenches.link[k], wrenches.block[k] = 1, link.number, link.block
+        wrenches.first_joint[k], wrenches.joints[k] = link.first, link.chain.size
+        wrenches.chain[k, : link.chain.size] = link.chain
         frame, point = link.rotation, link.rotation @ point + link.translation
     wrenches.in_body[k] = wrench.axes == "body"
     wrenches.frame[k] = frame.ravel()

@@ -31,12 +31,12 @@ class SolverLog:
 
     def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
-        self._lost = np.zeros(len(data.model.arm_names), dtype=np.int64)
+        self._lost = np.zeros(len(data.model.layout.blocks_of_robots), dtype=np.int64)
         self._rank = data.arrays.last_step.solution.rank
 
     def collect(self, data: Data, t: float, state: State) -> None:
         """Log the changes in the step that ended at ``t``, in this state."""
-        step, count = data.arrays.last_step, len(data.model.arm_names)
+        step, count = data.arrays.last_step, len(data.model.layout.blocks_of_robots)
         lost, passed = step.lost_directions[:count].copy(), step.sign_changes[:count].copy()
         rank = step.solution.rank
         events = self._of_rank(float(t), rank)
@@ -48,9 +48,9 @@ class SolverLog:
                 # a callback that fails here ends the run at the next step
                 in_words = update_kinematics(data.struct) == OK
             altered = changed[lost[changed] != self._lost[changed]] if in_words else []
-            words = lost_motions(data, [data.model.arm_names[i] for i in altered])
+            words = lost_motions(data, [data.model.blocks[i] for i in altered])
             for i in map(int, changed):
-                arm = data.model.arm_names[i]
+                arm = data.model.blocks[i]
                 if lost[i] != self._lost[i]:
                     what = words.get(arm, ())
                     events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
@@ -94,4 +94,4 @@ def _nearest(data: Data, i: int) -> str:
     inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
-    return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))
+    return "; ".join(describe(data, data.model.blocks[i], directions[-1:].T))
