@@ -9,9 +9,9 @@ with the rows ``J`` [m] of :math:`[W_o^T, W^T]` and the factor of the inertia
 :math:`M = L L^T` [kg m^2], both in the units of ``u``.  Rows without a position function (no slip)
 are left out.  :mod:`multiarm.assembly.loop_closure` closes the gaps.
 
-*Branches.*  An arm's branch (elbow up or down) ends where its own rows lose rank.  Between two near
-postures that has happened when the determinant of its rows, compressed to the directions that it
-moves along in the first, changes its sign.
+*Branches.*  A robot's branch (elbow up or down) ends where its own rows lose rank.  Between two
+near postures that has happened when the determinant of its rows, compressed to the directions that
+it moves along in the first, changes its sign.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import arm_inertia_text, require_ok
 from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.model import Model
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.jit.rows import fields_of
+from multiarm.scene.values import SURROUNDINGS
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ class Linkage:
     data : Data
         Its arrays hold the posture at the beginning, with its kinematics.
     arms : sequence of int
-        Blocks of robots that may move.
+        Blocks whose rows belong to it: those of robots that may move, and the surroundings.
     with_object : bool
         Whether the object may move.
     limits : ndarray, shape (n, 2)
@@ -147,10 +149,12 @@ class Linkage:
 
     def _factor(self, i: int, n: int) -> np.ndarray:
         data = self._data
+        if not n:  # the surroundings
+            return np.zeros((0, 0))
         try:
             return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
-            raise SolverError(arm_inertia_text(data.model.blocks[i])) from None
+            raise SolverError(arm_inertia_text(data.model, data.model.blocks[i])) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""
@@ -226,10 +230,10 @@ class Linkage:
 def scene_size(data: Data) -> float:
     """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
     arrays, constants = data.arrays, data.model.constants
-    levers = arrays.rows.kinematics[:, :3] - arrays.state.object_pose[:3]
+    levers = arrays.rows.kinematics[_rows_of_bodies(data.model), :3] - arrays.state.object_pose[:3]
     origins = fields_of(BodyMotion, arrays.bodies.links).origin
     robots = [robot for robot, _ in data.model.backends.links]
-    reaches = origins - data.model.bases[robots]
+    reaches = origins - _places_of_bases(data)[robots]
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
     gyration = constants.object_inertia.trace() / constants.object_mass
     return math.sqrt(max(*squares, gyration))
@@ -245,13 +249,36 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
+def _rows_of_bodies(model: Model) -> np.ndarray:
+    """The rows that have a place: not those of a robot's joints alone."""
+    layout = model.layout
+    rows = [
+        np.arange(layout.contacts)[layout.contacts_of(c)]
+        for c, owner in enumerate(layout.owners)
+        if owner in model.connections or owner == SURROUNDINGS
+    ]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+
+
+def _places_of_bases(data: Data) -> np.ndarray:
+    """Where the robots stand, world axes, of bases that move where they are now, (n, 3) [m]."""
+    model, places = data.model, data.model.bases.copy()
+    for i, arm in enumerate(model.arms.values()):
+        positions = data.arrays.state.joint_positions[model.layout.joints_of(i)]
+        slides = [j for j, joint in enumerate(arm.files.base_joints) if joint.kind == "prismatic"]
+        for j in slides:
+            axis = np.array(arm.files.base_joints[j].axis)
+            places[i] += arm.files.base[:3, :3] @ axis * positions[j]
+    return places
+
+
 def gaps_by_arm(data: Data) -> dict[str, float]:
-    """Largest magnitude of a gap, by connection [m]."""
+    """Largest magnitude of a gap, by owner of rows [m]; of a robot's couplings [rad, m]."""
     return _largest_by_arm(data, data.contact_rows.gap)
 
 
 def gap_rates_by_arm(data: Data) -> dict[str, float]:
-    """Largest magnitude of a gap rate, by connection [m/s]."""
+    """Largest magnitude of a gap rate, by owner of rows [m/s]; of couplings [rad/s, m/s]."""
     return _largest_by_arm(data, data.contact_rows.gap_rate)
 
 

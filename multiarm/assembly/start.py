@@ -1,7 +1,8 @@
 r"""Assembling a start: it is put on the constraints with the least change, which is reported.
 
-*Positions.*  The arms move onto the joints with the object held, each on its own; where one cannot,
-or only by a large swing for a small gap, the object moves too.  The joints stay within their limits
+*Positions.*  The robots move onto the joints with the object held, each on its own; where one
+cannot, or only by a large swing for a small gap, or where the world holds the object elsewhere, the
+object moves too.  The joints stay within their limits
 and on the branch of the written start (:mod:`multiarm.assembly.loop_closure`).  A start that is too
 far off, or whose contacts contradict each other, is refused with its residuals.
 
@@ -37,14 +38,20 @@ from multiarm.assembly.linkage import (
     projection_tolerance,
     scene_size,
 )
-from multiarm.assembly.loop_closure import close_gaps
+from multiarm.assembly.loop_closure import FARTHEST, close_gaps
 from multiarm.assembly.robots import Robots
 from multiarm.assembly.start_faults import cannot_close, inside, too_far
 from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import locate_pairs, patch_margin, place_state
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import lost_contact, require_ok
+from multiarm.dynamics.failures import (
+    is_tip_of_arm,
+    joint_of,
+    lost_contact,
+    owner_of,
+    require_ok,
+)
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport
@@ -82,8 +89,12 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     gaps, rates = gaps_by_arm(data), gap_rates_by_arm(data)
     size = scene_size(data)
     limit = 0.1 * size
-    if not all(gap <= limit for gap in gaps.values()):
-        raise SceneError(too_far(data, scene, name, gaps, limit))
+    limits_of_gaps = {
+        owner: limit if owner in data.model.connections else FARTHEST * max(1.0, size)
+        for owner in gaps
+    }
+    if not all(gap <= limits_of_gaps[owner] for owner, gap in gaps.items()):
+        raise SceneError(too_far(data, scene, name, gaps, limits_of_gaps))
     limits, outside = _limits(data, written)
     held = _close(data, name, gaps, limits, size)
     _check_way_round(data, scene, name)
@@ -206,9 +217,9 @@ def check_patches(data: Data, start: State) -> None:
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
     faults = [
-        f"arm '{arm}': '{contact}' touches {excess:.3g} m outside the patch of its surface; "
-        f"correct the posture, or the patch's 'min' and 'max'"
-        for arm, contact, excess in contacts_off_patch(data)
+        f"{owner_of(data.model, owner)}: '{contact}' touches {excess:.3g} m outside the patch of "
+        f"its surface; correct the posture, or the patch's 'min' and 'max'"
+        for owner, contact, excess in contacts_off_patch(data)
     ]
     if faults:
         raise SceneError(faults)
@@ -242,11 +253,11 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     tolerance = projection_tolerance(data, size)
     if max(gaps.values()) <= tolerance:
         return True
-    everything = list(data.model.layout.blocks_of_robots)
-    linkage = Linkage(data, everything, True, limits)
+    linkage = Linkage(data, list(range(data.model.layout.block_count)), True, limits)
     begin = linkage.posture()
-    closed, swings = True, False
-    for i, gap in enumerate(_gaps_by_block(data, gaps)):
+    of_blocks, of_world = _gaps_by_block(data, gaps)
+    closed, swings = of_world <= tolerance, False
+    for i, gap in enumerate(of_blocks if closed else []):
         if gap > tolerance:
             arm = Linkage(data, [i], False, limits)
             # a larger motion than this for its gap is a swing past a singular posture
@@ -266,11 +277,18 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     raise SceneError(cannot_close(data, name, gaps, linkage, end))
 
 
-def _gaps_by_block(data: Data, gaps: dict[str, float]) -> list[float]:
-    """Largest gap of every block of a robot, from those of the owners of its rows [m]."""
+def _gaps_by_block(data: Data, gaps: dict[str, float]) -> tuple[list[float], float]:
+    """Largest gap of every block of a robot, and between object and world [m].
+
+    ``gaps`` are those of the owners of rows.
+    """
     layout = data.model.layout
-    of_blocks = [layout.owners_of_block(i) for i in layout.blocks_of_robots]
-    return [max((gaps[layout.owners[c]] for c in owners), default=0.0) for owners in of_blocks]
+    largest = [
+        max((gaps.get(layout.owners[c], 0.0) for c in layout.owners_of_block(i)), default=0.0)
+        for i in range(layout.block_count)
+    ]
+    count = len(layout.blocks_of_robots)
+    return largest[:count], max(largest[count:], default=0.0)
 
 
 def _check_way_round(data: Data, scene: Scene, name: str) -> None:
@@ -292,10 +310,12 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
         cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
         if cosine < 0.0:
             angle = math.degrees(math.acos(max(cosine, -1.0)))
+            pair = data.model.connections[joint.connection]
+            on_first = "arm" if is_tip_of_arm(pair) else str(pair.first)
             faults.append(
-                f"{name} closes the joint of arm '{joint.connection}' the wrong way round: its "
-                f"frame on the arm is turned by {angle:.0f} degrees against that on the object; "
-                "correct the posture or `at`, or let `posture: solve` find it"
+                f"{name} closes {joint_of(data.model, joint.connection)} the wrong way round: its "
+                f"frame on the {on_first} is turned by {angle:.0f} degrees against that on the "
+                f"{pair.second}; correct the posture or `at`, or let `posture: solve` find it"
             )
     if faults:
         raise SceneError(faults)
@@ -317,7 +337,8 @@ def _close_rates(data: Data, size: float) -> float:
     """
     b, joints = data.arrays, data.model.layout.joints
     free = np.full((joints, 2), [-np.inf, np.inf])
-    linkage = Linkage(data, list(data.model.layout.blocks_of_robots), True, free, True, size)
+    blocks = list(range(data.model.layout.block_count))
+    linkage = Linkage(data, blocks, True, free, True, size)
     place, lost = linkage.posture(), 0.0
     v = b.state.velocity / linkage.unit
     # 100 roundings of the terms that cancel in a rate

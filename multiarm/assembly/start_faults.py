@@ -13,7 +13,9 @@ from multiarm.assembly.linkage import (
 from multiarm.assembly.loop_closure import FARTHEST, MOST_STEPS, Closing, Outcome
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import LIMIT, Constraint
+from multiarm.dynamics.contact_geometry import wrench_rows
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import SURROUNDINGS
@@ -21,11 +23,16 @@ from multiarm.scene.values import SURROUNDINGS
 
 def inside(data: Data, constraint: Constraint, depth: float) -> str:
     """The fault of a contact or joint that is beyond what it may reach, by ``depth`` [m, rad]."""
+    if constraint.arm == SURROUNDINGS:
+        return (
+            f"at the start '{constraint.name}' of the object is below the floor by {depth:.3g} m; "
+            "correct 'object.pose', or the surfaces"
+        )
     if constraint.kind != LIMIT:
         where = f"'{constraint.arm}/{constraint.name}' is inside the arm's surface"
         remedy = "the posture"
-        if constraint.arm == SURROUNDINGS:
-            where, remedy = f"'{constraint.name}' of the object is below the floor", "'object.pose'"
+        if not is_tip_of_arm(data.model.connections[constraint.arm]):
+            where = f"'{constraint.arm}/{constraint.name}' is inside the surface of the first body"
         return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
     first = data.model.layout.first_joint[data.model.arm_names.index(constraint.arm)]
     limit = data.model.records[constraint.row]
@@ -39,24 +46,36 @@ def inside(data: Data, constraint: Constraint, depth: float) -> str:
     )
 
 
-def too_far(data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: float) -> list[str]:
-    """One fault for every joint whose gap in the data exceeds the limit [m]."""
+def too_far(
+    data: Data, scene: Scene, name: str, gaps: dict[str, float], limits: dict[str, float]
+) -> list[str]:
+    """One fault for every owner of rows whose gap in the data exceeds its limit [m; rad]."""
     kinds = {joint.connection: joint.kind for joint in scene.joints}
     phi = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
     faults, near = [], {}
-    for arm, gap in gaps.items():
+    for owner, gap in gaps.items():
+        limit = limits[owner]
         if gap <= limit:
-            near[arm] = gap
+            near[owner] = gap
             continue
-        contact = data.model.contacts[arm][int(np.argmax(phi[arm]))]
+        row = data.model.contacts[owner][int(np.argmax(phi[owner]))]
+        if owner not in data.model.connections:
+            faults.append(
+                f"{name} does not satisfy the couplings of the joints of "
+                f"{owner_of(data.model, owner)}: '{row.name}' is off by {gap:.4g} rad or m, up to "
+                f"{limit:.3g} is assembled; correct the posture"
+            )
+            continue
         remedy = "or `at` (or leave `at` out to join the object where the tip is)"
-        if kinds[arm] == "contacts":
+        if kinds[owner] == "contacts":
             remedy = (
                 "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
             )
+        elif not is_tip_of_arm(data.model.connections[owner]):
+            remedy = "or `at` and `at_first`"
         faults.append(
-            f"{name} does not satisfy the joint of arm '{arm}': a gap of {gap:.4g} m is left "
-            f"at '{contact.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
+            f"{name} does not satisfy {joint_of(data.model, owner)}: a gap of {gap:.4g} m is left "
+            f"at '{row.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
             f"{remedy}"
         )
     if near:
@@ -67,7 +86,7 @@ def too_far(data: Data, scene: Scene, name: str, gaps: dict[str, float], limit: 
 def cannot_close(
     data: Data, name: str, gaps: dict[str, float], linkage: Linkage, end: Closing
 ) -> list[str]:
-    """Why the linkage of object and all arms could not be closed, from ``gaps`` as written [m].
+    """Why the linkage of object and all robots could not be closed, from ``gaps`` as written [m].
 
     The posture that was reached is in the data.
     """
@@ -87,9 +106,11 @@ def cannot_close(
         if end.outcome is Outcome.TOO_SLOW:
             why = f"{MOST_STEPS} steps were too few, {gaps_left} is left"
         else:
+            noun = data.model.layout.noun
             why = (
-                f"no motion of the arms and the object lessens what then is left, {gaps_left}; "
-                "the arms are at the end of their reach, or have too few joints for these contacts"
+                f"no motion of the {noun} and the object lessens what then is left, {gaps_left}; "
+                f"the {noun} are at the end of their reach, or have too few joints for these "
+                "contacts"
             )
         stopped = joints_at_limit(data)
         if stopped:
@@ -102,33 +123,38 @@ def cannot_close(
 
 
 def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
-    """Joints whose own contacts cannot all be closed, wherever the arm is."""
-    b, faults, tolerance = data.arrays, [], projection_tolerance(data)
-    wrenches = b.rows.W_o[linkage.rows] * linkage.unit[:6]
-    phi = data.contact_rows.gap[linkage.rows]
-    robots = data.model.blocks[: len(linkage.blocks)]
-    for arm, (of_arm, _) in zip(robots, linkage.blocks, strict=True):
-        U, s, _ = np.linalg.svd(wrenches[of_arm])
+    """Joints whose own contacts cannot all be closed, wherever their bodies are."""
+    faults, tolerance = [], projection_tolerance(data)
+    wrenches, gaps = wrench_rows(data) * linkage.unit[:6], data.contact_rows.gap
+    layout = data.model.layout
+    for c, owner in enumerate(layout.owners):
+        rows = linkage.rows[
+            np.isin(linkage.rows, np.arange(layout.contacts)[layout.contacts_of(c)])
+        ]
+        if owner not in data.model.connections or not rows.size:
+            continue
+        phi = gaps[rows]
+        U, s, _ = np.linalg.svd(wrenches[rows])
         dependent = U[:, int(np.sum(s > 1e-9 * s[0])) :] if s.size else U
-        opposed = dependent @ (dependent.T @ phi[of_arm])
+        opposed = dependent @ (dependent.T @ phi)
         worst = float(np.max(np.abs(opposed), initial=0.0))
         # at least a tenth of the joint's largest gap; contacts with less than a tenth of the worst
         # part are not named
-        if not worst > max(0.1 * float(np.max(np.abs(phi[of_arm]), initial=0.0)), tolerance):
+        if not worst > max(0.1 * float(np.max(np.abs(phi), initial=0.0)), tolerance):
             continue
-        rows = linkage.rows[of_arm][np.abs(opposed) > 0.1 * worst]
-        names = [f"'{data.model.owner(int(row))[1].name}'" for row in rows]
+        opposed_rows = rows[np.abs(opposed) > 0.1 * worst]
+        names = [f"'{data.model.owner(int(row))[1].name}'" for row in opposed_rows]
         faults.append(
-            f"the contacts {counted(names, 6)} of arm '{arm}' contradict each other "
-            f"at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot all "
-            f"touch, gaps of {worst:.3g} m stay between them; leave one of them out, or correct "
-            f"its geometry"
+            f"the contacts {counted(names, 6)} of {owner_of(data.model, owner)} contradict each "
+            f"other at {name.removeprefix('the ')}: as surfaces of two rigid bodies they cannot "
+            f"all touch, gaps of {worst:.3g} m stay between them; leave one of them out, or "
+            f"correct its geometry"
         )
     return faults
 
 
 def _listed(gaps: dict[str, float]) -> str:
-    """Gaps of the arms [m] in one line."""
+    """Gaps of owners of rows [m] in one line."""
     return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.postures import overlapping_links, posture_of
 from multiarm.control.gravity_compensation import uncarried_weight
+from multiarm.dynamics.failures import joint_of
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
 from multiarm.scene import JointSpec
@@ -43,12 +44,13 @@ def _weight_not_carried(system: System) -> list[str]:
     weight = scene.object.mass * float(np.linalg.norm(scene.gravity))
     if np.linalg.norm([*left[:3], *left[3:] / size]) <= UNCARRIED * weight:
         return []
-    arms = ", ".join(map(repr, system.arm_names))
+    connections = system.model.connections.items()
+    holding = ", ".join(repr(name) for name, pair in connections if pair.on_object)
     return [
-        f"{place(('control',))}: the contacts of {arms} cannot carry all of the object's weight, "
-        f"{number(weight, 'N')}: {numbers(left[:3], 'N')} and {numbers(left[3:], 'N m')} about its "
-        "centre of mass, world axes, are left, and it gives way there; add an arm, or join one "
-        "with fewer free motions (`uncarried_wrench` of an evaluation has what is left)"
+        f"{place(('control',))}: the contacts of {holding} cannot carry all of the object's "
+        f"weight, {number(weight, 'N')}: {numbers(left[:3], 'N')} and {numbers(left[3:], 'N m')} "
+        "about its centre of mass, world axes, are left, and it gives way there; add an arm, or "
+        "join one with fewer free motions (`uncarried_wrench` of an evaluation has what is left)"
     ]
 
 
@@ -56,6 +58,9 @@ def _joints_off_the_object(system: System) -> list[str]:
     """Of joints whose kind states the contacts; listed contacts have surfaces of their own."""
     warnings = []
     for place_of_joint, joint in enumerate(system.scene.joints):
+        pair = system.model.connections[joint.connection]
+        if not pair.on_object:
+            continue
         point = system.frames[joint.connection].on_object[:3, 3]
         solid = None if joint.as_listed else system.scene.object.shape.solid
         nearest = None if solid is None else solid.nearest(point)
@@ -69,9 +74,9 @@ def _joints_off_the_object(system: System) -> list[str]:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
         there = ", ".join(f"{x:.3g}" for x in nearest)
         warnings.append(
-            f"{where}: the joint of arm {joint.connection!r} is {distance:.3g} m off the object's "
-            f"shape, whose nearest point is [{there}] in the object's frame; correct {remedy}, or "
-            "leave it if the object has a handle there"
+            f"{where}: {joint_of(system.model, joint.connection)} is {distance:.3g} m off the "
+            f"object's shape, whose nearest point is [{there}] in the object's frame; correct "
+            f"{remedy}, or leave it if the object has a handle there"
         )
     return warnings
 
@@ -94,6 +99,12 @@ def _joints_at_limits(system: System) -> list[str]:
             "correct the posture, the base or the joint's place"
         )
     return warnings
+
+
+def _posture_of(system: System, robot: str) -> str:
+    """The place of a robot's posture in the scene."""
+    group = "arms" if robot in system.scene.arms else "robots"
+    return place((group, robot, "posture"))
 
 
 def _links_in_the_way(system: System) -> list[str]:

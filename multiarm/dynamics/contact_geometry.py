@@ -32,7 +32,7 @@ from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.failures import is_tip_of_arm, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space
@@ -228,7 +228,8 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
     """
     if connection not in model.connections:
         known = ", ".join(model.connections)
-        raise ModelError(f"unknown arm {connection!r}; arms are {known}")
+        noun = "arm" if all(map(is_tip_of_arm, model.connections.values())) else "connection"
+        raise ModelError(f"unknown {noun} {connection!r}; {noun}s are {known}")
     pair = model.connections[connection]
     (X_WB, twist_B), (X_WA, twist_A) = (
         _pose_and_twist(model, state, body) for body in (pair.second, pair.first)
@@ -281,17 +282,27 @@ def joint_wrenches(data: Evaluated, connection: str) -> np.ndarray:
     length; moments are measured at the longest lever arm [m].  Rows that belong to joints have
     none, and are left out.
     """
-    model, x = data.model, joint_origin(data, connection)
+    model = data.model
     c = model.layout.owners.index(connection)
     body = fields_of(BodyMotion, data.arrays.bodies.motion[model.bodies_of(connection)[1]])
     R = body.rotation @ fields_of(FrameRow, model.constants.joint_frames[c]).on_object
-    rows = wrench_rows(data)[model.layout.contacts_of(c)]
+    rows = wrenches_about(data, connection, joint_origin(data, connection))
     rows = rows[np.any(rows != 0.0, axis=1)]
-    force = rows[:, :3]
-    moment = rows[:, 3:] - np.cross(x - _reference_point(data, connection), force)
+    force, moment = rows[:, :3], rows[:, 3:]
     size = float(np.max(np.linalg.norm(moment, axis=1), initial=0.0)) or 1.0
     wrenches = np.hstack([force @ R, moment @ R / size])
     return wrenches / np.linalg.norm(wrenches, axis=1)[:, None]
+
+
+def wrenches_about(data: Evaluated, connection: str, place: np.ndarray) -> np.ndarray:
+    """Wrenches of unit forces on a connection's second body about a place (3,) [m], shape (N, 6).
+
+    World axes; at the kinematics in the data.  Rows that belong to joints have none: zeros.
+    """
+    layout = data.model.layout
+    rows = wrench_rows(data)[layout.contacts_of(layout.owners.index(connection))]
+    moment = rows[:, 3:] - np.cross(place - _reference_point(data, connection), rows[:, :3])
+    return np.hstack([rows[:, :3], moment])
 
 
 def joint_origin(data: Evaluated, connection: str) -> np.ndarray:

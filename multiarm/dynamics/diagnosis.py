@@ -1,4 +1,4 @@
-r"""Which motions an arm has lost, in words.
+r"""Which motions an arm, or a robot with several connections, has lost, in words.
 
 Contact forces ``x`` of a joint sum to a wrench ``w`` on the arm.  The arm can move along it when it
 causes joint torques, :math:`W_i x = J^T w \ne 0`.  Combinations without torques are lost motions,
@@ -12,6 +12,9 @@ A wrench has an axis.  If it is a force along a line, the arm has no motion alon
 is a couple, no turn about its axis; else a screw, a motion along an axis together with a turn about
 it, is lost.  Moments are compared with forces over the arm's length (the largest distance of a
 joint's axis from the place where the arm holds the object), and so are the joints' torques.
+
+A robot with several connections has lost what each of them loses by itself, told with the name of
+the connection, and what they lose together: two hands on one torso cannot both follow every motion.
 """
 
 from __future__ import annotations
@@ -22,14 +25,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.motion import BodyMotion
-from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches
+from multiarm.arms.arm import Arm
+from multiarm.dynamics.contact_geometry import (
+    joint_origin,
+    joint_wrenches,
+    robot_matrix,
+    wrenches_about,
+)
 from multiarm.dynamics.data import Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.geometry.records import Contact
-from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
+from multiarm.scene.faults import counted
 
 # Motion along a direction, relative to that along the arm's best one, that counts as little ...
 LITTLE = 5e-3
@@ -38,8 +46,10 @@ NONE = 1e-6
 # A wrench gets the name of an axis when it differs from it by less than this part: about six
 # degrees, or a tenth of the arm's length as distance from the axis or as pitch.
 ALIKE = 0.1
-# Longest description, in characters.
+# Longest description, in characters, without the name of a connection.
 LONGEST = 60
+# Part of a combination of forces that all belongs to one connection.
+ALL_OF_IT = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +66,20 @@ class LostMotion:
 
 
 def lost_motions(data: Evaluated, arms: Iterable[str] | None = None) -> dict[str, tuple[str, ...]]:
-    """Lost motions of each arm (default: all) in words of at most 60 characters; empty for none.
+    """Lost motions of each robot (default: all) in words of at most 60 characters; empty for none.
 
-    At the kinematics in the data, before the elimination.
+    Where a robot has several connections, the name of one stands before its words.  At the
+    kinematics in the data, before the elimination.
     """
-    return {arm: _of_arm(data, arm) for arm in (data.model.arm_names if arms is None else arms)}
+    return {arm: _of_robot(data, arm) for arm in (data.model.arm_names if arms is None else arms)}
 
 
-def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
-    """The directions that an arm has lost by its posture or by its number of joints, one by one."""
-    hold = _hold(data, arm)
+def lost_directions(data: Evaluated, connection: str) -> tuple[LostMotion, ...]:
+    """The directions that a connection loses by posture or number of joints of its robot.
+
+    One by one; other connections of the robot are left out.
+    """
+    hold = _hold(data, connection)
     if hold is None:
         return ()
     _, sizes, turned = np.linalg.svd(hold.torques)
@@ -74,12 +88,52 @@ def lost_directions(data: Evaluated, arm: str) -> tuple[LostMotion, ...]:
 
 
 def describe(data: Evaluated, arm: str, directions: np.ndarray) -> tuple[str, ...]:
-    """Words for lost motions given as combinations of an arm's contacts, shape (N_i, k).
+    """Words for lost motions given as combinations of a robot's rows, shape (N_i, k).
 
-    One text for each column; they describe a basis of the span of all columns.
+    One text for each column; of an arm they describe a basis of the span of all columns.
     """
-    hold = _hold(data, arm)
     directions = np.asarray(directions, dtype=float)
+    if is_serial_arm(data, arm):
+        return _describe(data, arm, directions)
+    return tuple(_of_combination(data, arm, direction) for direction in directions.T)
+
+
+def is_serial_arm(data: Evaluated, robot: str) -> bool:
+    """Whether a robot has one connection only, that of its only tip with the object."""
+    return _connections(data, robot) == [robot]
+
+
+def _connections(data: Evaluated, robot: str) -> list[str]:
+    return [name for name, pair in data.model.connections.items() if pair.robot == robot]
+
+
+def _of_combination(data: Evaluated, robot: str, forces: np.ndarray) -> str:
+    """Words for a combination (N_i,) of the rows of a robot with several connections."""
+    layout = data.model.layout
+    i = layout.names.index(robot)
+    first, size = layout.contacts_of_robot(i).start, float(np.linalg.norm(forces))
+    taking_part = {}
+    for c in layout.owners_of_robot(i):
+        rows = layout.contacts_of(c)
+        part = forces[rows.start - first : rows.stop - first]
+        if np.linalg.norm(part) > ALIKE * size:
+            taking_part[layout.owners[c]] = part
+    owner, part = max(taking_part.items(), key=lambda entry: np.linalg.norm(entry[1]))
+    if owner in data.model.connections and np.linalg.norm(part) > ALL_OF_IT * size:
+        return f"{owner}: {_describe(data, owner, part[:, None])[0]}"
+    return f"a direction of {_together(data, taking_part)} together"
+
+
+def _together(data: Evaluated, owners: Iterable[str]) -> str:
+    """Owners of rows in words: connections by name, and joints' rows."""
+    known = data.model.connections
+    names = [name if name in known else f"joints of {name}" for name in owners]
+    return counted(names, 3, " and " if len(names) == 2 else ", ")
+
+
+def _describe(data: Evaluated, connection: str, directions: np.ndarray) -> tuple[str, ...]:
+    """Words for combinations (N_c, k) of the rows of a connection."""
+    hold = _hold(data, connection)
     if hold is None or not np.all(np.isfinite(directions)):
         return ("a direction that has no name here",) * directions.shape[1]
     wrenches = hold.wrenches @ directions
@@ -110,6 +164,7 @@ class _Hold:
     basis: np.ndarray
     torques: np.ndarray
     names: tuple[_Named, ...]
+    joints: int  # that move one body of the connection against the other
 
     def share(self, wrench: np.ndarray, best: float) -> float:
         """Motion of the arm along a unit wrench, relative to that along its best direction."""
@@ -132,13 +187,52 @@ class _Axis(NamedTuple):
     point: np.ndarray
 
 
-def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
-    hold = _hold(data, arm)
+def _of_robot(data: Evaluated, robot: str) -> tuple[str, ...]:
+    if is_serial_arm(data, robot):
+        return _of_connection(data, robot)
+    names = _connections(data, robot)
+    words = tuple(f"{name}: {text}" for name in names for text in _of_connection(data, name))
+    together = _lost_together(data, robot)
+    if together:
+        owners = data.model.layout.owners_of_robot(data.model.arm_names.index(robot))
+        everybody = _together(data, (data.model.layout.owners[c] for c in owners))
+        words += (f"{count_of(together, 'direction')} that {everybody} lose together",)
+    return words
+
+
+def _lost_together(data: Evaluated, robot: str) -> int:
+    """Directions that a robot's connections and joints' rows lose beside what each loses alone."""
+    layout, parts, alone = data.model.layout, [], 0
+    i = layout.names.index(robot)
+    of_robot, first = robot_matrix(data, i), layout.contacts_of_robot(i).start
+    for c in layout.owners_of_robot(i):
+        owner, rows = layout.owners[c], layout.contacts_of(c)
+        if owner in data.model.connections:
+            hold = _hold(data, owner)
+            if hold is None:
+                return 0
+            torques = hold.torques
+        else:
+            torques = of_robot[:, rows.start - first : rows.stop - first]
+        sizes = np.linalg.svd(torques, compute_uv=False)
+        rank = rank_of(sizes, LITTLE)
+        alone += torques.shape[1] - rank
+        if rank:
+            parts.append(torques / sizes[0])
+    if not parts:
+        return 0
+    every = np.hstack(parts)
+    lost = every.shape[1] - rank_of(np.linalg.svd(every, compute_uv=False), LITTLE)
+    return max(lost - alone, 0)
+
+
+def _of_connection(data: Evaluated, connection: str) -> tuple[str, ...]:
+    hold = _hold(data, connection)
     if hold is None:
         return ()
-    words = _redundant(data, arm)
-    joints, independent = hold.torques.shape
-    lost = lost_directions(data, arm)
+    words = _redundant(data, connection)
+    joints, independent = hold.joints, hold.torques.shape[1]
+    lost = lost_directions(data, connection)
     if joints >= independent:
         return words + tuple(motion.words for motion in lost)
     leave = f"its {count_of(joints, 'joint')} {'leaves' if joints == 1 else 'leave'}"
@@ -148,10 +242,10 @@ def _of_arm(data: Evaluated, arm: str) -> tuple[str, ...]:
     return words
 
 
-def _redundant(data: Evaluated, arm: str) -> tuple[str, ...]:
+def _redundant(data: Evaluated, connection: str) -> tuple[str, ...]:
     """Contacts that depend on each other."""
-    space = null_space(joint_wrenches(data, arm).T)
-    names = [row.name for row in data.model.contacts[arm] if isinstance(row, Contact)]
+    space = null_space(joint_wrenches(data, connection).T)
+    names = [row.name for row in data.model.contacts[connection] if isinstance(row, Contact)]
     many = len(names) - space.rank
     if not many:
         return ()
@@ -168,24 +262,27 @@ def _redundant(data: Evaluated, arm: str) -> tuple[str, ...]:
     return (f"{text} among {len(among)} of them",)
 
 
-def _hold(data: Evaluated, arm: str) -> _Hold | None:
+def _hold(data: Evaluated, connection: str) -> _Hold | None:
     """Contact wrenches and their joint torques; None when a contact has no normal."""
-    i = data.model.arm_names.index(arm)
-    arrays, layout = data.arrays, data.model.layout
-    d, r = layout.joints_of(i), layout.contacts_of(i)
-    rows, W = arrays.rows.W_o[r], data.work.W[i, : d.stop - d.start, : r.stop - r.start]
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(W)) and np.any(rows)):
+    layout, pair = data.model.layout, data.model.connections[connection]
+    i, arm = layout.names.index(pair.robot), data.model.arms[pair.robot]
+    d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))
+    first = layout.contacts_of_robot(i).start
+    W = robot_matrix(data, i)[:, r.start - first : r.stop - first]
+    place = joint_origin(data, connection)
+    wrenches = wrenches_about(data, connection, place)
+    if not (np.all(np.isfinite(wrenches)) and np.all(np.isfinite(W)) and np.any(wrenches)):
         return None
-    place = joint_origin(data, arm)
-    axes = _axes(data, arm, arrays.state.joint_positions[d])
+    axes = _axes(arm, pair.first.tip, data.arrays.state.joint_positions[d])
     length = _length(axes, place)
-    origin = fields_of(BodyMotion, arrays.bodies.object).origin
-    moments = rows[:, 3:] - np.cross(place - origin, rows[:, :3])
-    wrenches = np.hstack([rows[:, :3], moments / length]).T
-    rank = null_space(joint_wrenches(data, arm).T).rank
+    wrenches = np.hstack([wrenches[:, :3], wrenches[:, 3:] / length]).T
+    rank = null_space(joint_wrenches(data, connection).T).rank
     basis, sizes, turned = np.linalg.svd(wrenches, full_matrices=False)
     combinations = turned[:rank].T / sizes[:rank]
-    units = np.array([length if axis.turns else 1.0 for axis in axes])
+    units = np.array([1.0 if unit == "m" else length for unit in arm.joint_units.values()])
+    moving: set[int] = set()  # joints on the way to both bodies of an inner loop move neither
+    for body in (pair.first, pair.second):
+        moving ^= set(arm.tips[body.tip].chain.tolist()) if body.is_link else set()
     return _Hold(
         length=length,
         place=place,
@@ -193,17 +290,18 @@ def _hold(data: Evaluated, arm: str) -> _Hold | None:
         basis=basis[:, :rank],
         torques=(W / units[:, None]) @ combinations,
         names=tuple(_axis_names(axes, place, length)),
+        joints=len(moving),
     )
 
 
-def _axes(data: Evaluated, arm: str, angles: np.ndarray) -> list[_Axis]:
-    """Axes of an arm's joints, from the Jacobian of its tip.
+def _axes(arm: Arm, tip: str, angles: np.ndarray) -> list[_Axis]:
+    """Axes of the joints between the base and a tip, from its Jacobian.
 
     A turn about ``a`` through ``o`` moves the tip by ``a x (tip - o)``.
     """
-    terms = data.model.arms[arm].terms(angles, np.zeros(len(angles)))
-    axes = []
-    for velocity, spin in zip(terms.J[:3].T, terms.J[3:].T, strict=True):
+    terms = arm.terms(angles, np.zeros(len(angles)), tip)
+    jacobian, axes = terms.J[:, arm.tips[tip].chain], []
+    for velocity, spin in zip(jacobian[:3].T, jacobian[3:].T, strict=True):
         turns = bool(np.any(spin))
         point = terms.tip_position - _cross(velocity, spin)
         axes.append(_Axis(turns, spin if turns else velocity, point))

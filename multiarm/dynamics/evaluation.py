@@ -124,12 +124,13 @@ class ForceDecomposition:
 
     Attributes
     ----------
-    moving : mapping arm -> ndarray, shape (N_i,)
-        The smallest contact forces with the same resultant [N].
-    squeezing : mapping arm -> ndarray, shape (N_i,)
+    moving : mapping connection -> ndarray, shape (N_i,)
+        The smallest contact forces with the same resultant [N].  Of the connections of the object,
+        that of an arm by its name.
+    squeezing : mapping connection -> ndarray, shape (N_i,)
         The rest, which does not move the object [N].
     internal : InternalForces
-        Basis ``A_o`` over all contacts, arm after arm.
+        Basis ``A_o`` over all these contacts, connection after connection.
     coordinates : ndarray, shape (k,)
         ``mu_I`` in that basis.
     wrench : ndarray, shape (6,)
@@ -158,13 +159,15 @@ class Evaluation:
     state : State
     object_acceleration : ndarray, shape (6,)
         Acceleration of the centre of mass (classical) and angular acceleration, world axes.
-    joint_accelerations, joint_torques : mapping arm -> ndarray, shape (n_i,)
+    joint_accelerations, joint_torques : mapping arm or robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]; torques of the drives [N m, N]: those of the control, after limits and
         lag.
     control_power : mapping arm -> float
         Power of these torques, the sum of torque times joint velocity [W]; empty without control.
-    contact_forces : mapping arm -> ndarray, shape (N_i,)
-        Magnitudes [N]; positive pushes the object along ``contact_normals``.
+    contact_forces : mapping arm or connection -> ndarray, shape (N_i,)
+        Magnitudes [N]; positive pushes the second body of the connection, that of an arm the
+        object, along ``contact_normals``.  A robot whose joints have rows of their own, such as
+        couplings and stops, has these under its name.
     position_residual, velocity_residual : float
         Largest gap [m] and gap rate [m/s].
     residuals : Residuals
@@ -257,7 +260,7 @@ class Evaluation:
 
     @cached_property
     def contact_normals(self) -> Mapping[str, np.ndarray]:
-        """Constraint normals into the object, world axes, arm -> ndarray, shape (N_i, 3).
+        """Constraint normals into the second body, world axes, arm -> ndarray, shape (N_i, 3).
 
         For rows of friction the tangents.
         """
@@ -269,12 +272,12 @@ class Evaluation:
 
     @cached_property
     def contact_terms(self) -> Mapping[str, ContactTerms]:
-        """Contact matrices of the joints, arm -> ContactTerms."""
+        """Contact matrices of the joints, arm or connection -> ContactTerms."""
         return contact_terms(self._held)
 
     @cached_property
     def lost_motions(self) -> Mapping[str, tuple[str, ...]]:
-        """Motions that the ``coupled_arms`` have lost, in words, arm -> tuple of str."""
+        """Motions that the ``coupled_arms`` have lost, in words, arm or robot -> tuple of str."""
         return self._lost_motions()
 
     @cached_property
@@ -334,7 +337,8 @@ class Evaluation:
         """Motions that an arm's joint leaves free, ``v = T alpha``, and ``dT/dt`` (thesis, 3.8).
 
         ``v`` is the twist of the arm's tip frame relative to the object, at the tip's origin and in
-        object axes.  ``alpha`` are the rates of the joint's free components (``relative_rates``),
+        object axes; of another connection, named by it, the twist of its first body relative to the
+        second one.  ``alpha`` are the rates of the joint's free components (``relative_rates``),
         or the ``rows`` of ``v`` that are named: 0 to 5, slide x ... turn z.
 
         Raises
@@ -365,8 +369,8 @@ class Evaluation:
     ) -> InternalForces:
         """Contact forces that do not move the object: basis ``A_o`` (thesis, 3.7.3).
 
-        One row a contact, arm after arm, named ``arm/contact``.  ``form`` is ``orthonormal``,
-        ``nonnegative`` or ``echelon``; see
+        One row a contact, connection after connection, named ``arm/contact``.  ``form`` is
+        ``orthonormal``, ``nonnegative`` or ``echelon``; see
         :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
         """
         contacts = self._held.model.contacts
@@ -400,14 +404,20 @@ class Evaluation:
 
     @property
     def W_o(self) -> np.ndarray:
-        """``W_o`` of all contacts of the joints with the object, (6, N)."""
-        return np.hstack([self.contact_terms[name].W_o for name in self._holding])
+        """``W_o`` of all contacts of the joints with the object, (6, N).
+
+        Of a joint between the object and the world, whose forces act on the world, their opposite.
+        """
+        connections, terms = self._held.model.connections, self.contact_terms
+        return np.hstack(
+            [terms[n].W_o if connections[n].on_object else terms[n].W_m for n in self._holding]
+        )
 
     @cached_property
     def _holding(self) -> tuple[str, ...]:
         """The connections of the object."""
         connections = self._held.model.connections
-        return tuple(name for name, pair in connections.items() if pair.on_object)
+        return tuple(name for name, pair in connections.items() if pair.of_object)
 
 
 def evaluate(data: Data, t: float, state: State) -> Evaluation:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.status import (
     ARM_INERTIA,
     ARM_NOT_FINITE,
@@ -18,6 +20,7 @@ from multiarm.dynamics.status import (
 )
 from multiarm.errors import SolverError
 from multiarm.jit.pointers import is_at
+from multiarm.scene.values import SURROUNDINGS
 
 
 def require_ok(data: Data, status: int) -> None:
@@ -42,11 +45,11 @@ def failure_text(data: Data, status: int) -> str:
     if lost:
         return lost
     if status == ARM_INERTIA:
-        return arm_inertia_text(_arm_that_failed(data))
+        return arm_inertia_text(data.model, _arm_that_failed(data))
     if status == ARM_NOT_FINITE:
         return (
-            f"numbers of arm '{_arm_that_failed(data)}' are not finite; take smaller steps, or "
-            f"check its URDF and the controller"
+            f"numbers of {owner_of(data.model, _arm_that_failed(data))} are not finite; take "
+            f"smaller steps, or check its URDF and the controller"
         )
     if status == OBJECT_INERTIA:
         return (
@@ -72,12 +75,39 @@ def failure_text(data: Data, status: int) -> str:
     return f"the evaluation failed (status {status})"
 
 
-def arm_inertia_text(arm: str) -> str:
-    """Why the inertia matrix of an arm has no factors, and what to do."""
+def arm_inertia_text(model: Model, robot: str) -> str:
+    """Why the inertia matrix of a robot has no factors, and what to do."""
+    arm = model.arms[robot]
+    base = ""
+    if arm.files.base_joints:
+        base = ", or give the base its own with `base: {mass: ..., inertia: ...}`"
     return (
-        f"the inertia matrix of arm '{arm}' is not positive definite: a joint moves links without "
-        f"mass or inertia; give them some in the URDF, or lock the joint"
+        f"the inertia matrix of {owner_of(model, robot)} is not positive definite: a joint moves "
+        f"links without mass or inertia; give them some in the URDF, or lock the joint{base}"
     )
+
+
+def is_tip_of_arm(pair: Connection) -> bool:
+    """Whether a connection is that of an arm, which has one tip, with the object."""
+    return pair.on_object and pair.first.is_link and not pair.first.tip
+
+
+def owner_of(model: Model, name: str) -> str:
+    """An owner of rows, or a robot, in words: ``arm 'left'``, ``connection 'cart/left'``."""
+    if name == SURROUNDINGS:
+        return "the floor"
+    if name in model.connections:
+        noun = "arm" if is_tip_of_arm(model.connections[name]) else "connection"
+    else:
+        noun = "arm" if name in model.arms and "" in model.arms[name].tips else "robot"
+    return f"{noun} '{name}'"
+
+
+def joint_of(model: Model, connection: str) -> str:
+    """The joint of a connection in words: ``the joint of arm 'left'``, ``joint 'cart/left'``."""
+    if is_tip_of_arm(model.connections[connection]):
+        return f"the joint of arm '{connection}'"
+    return f"joint '{connection}'"
 
 
 def _arm_that_failed(data: Data) -> str:
@@ -147,8 +177,9 @@ def lost_contact_text(data: Data) -> str:
 
 def lost_contact(data: Data, row: int) -> str:
     """Message that a contact has no normal."""
-    arm, contact = data.model.owner(row)
+    owner, contact = data.model.owner(row)
     return (
-        f"contact '{contact.name}' of arm '{arm}' has no normal where it is: an axis, a centre, an "
-        f"apex or the end of a surface was reached, or two surfaces lost each other"
+        f"contact '{contact.name}' of {owner_of(data.model, owner)} has no normal where it is: an "
+        f"axis, a centre, an apex or the end of a surface was reached, or two surfaces lost each "
+        "other"
     )

@@ -122,9 +122,15 @@ class Layout:
     frames: int = 1
 
     def __str__(self) -> str:
-        count = len(self.names)
-        robots = f"arms {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} arms"
+        count, noun = len(self.names), self.noun
+        robots = f"{noun} {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} {noun}"
         return f"{robots}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
+
+    @property
+    def noun(self) -> str:
+        """What its robots are called together."""
+        # connections are named after tips, ``robot/tip``, where robots have several
+        return "robots" if any("/" in owner for owner in self.owners) else "arms"
 
     # --- sizes ----------------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from multiarm.scene.faults import shown
 
 @dataclass(frozen=True, eq=False, repr=False)
 class State:
-    """Positions and velocities of object and arms.
+    """Positions and velocities of object and robots.
 
     Attributes
     ----------
@@ -61,14 +61,17 @@ class State:
 
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
-        """Arm name -> joint positions, one number a joint, shape (n_i,)."""
+        """Arm or robot -> joint positions, one number a joint, shape (n_i,).
+
+        Of a robot on a base that moves, the joints of the base come first.
+        """
         return MappingProxyType(
             self.layout.split_joints(self.layout.joint_positions(self.position))
         )
 
     @property
     def joint_velocities(self) -> Mapping[str, np.ndarray]:
-        """Arm name -> joint velocities, shape (n_i,)."""
+        """Arm or robot -> joint velocities, shape (n_i,)."""
         return MappingProxyType(self.layout.split_joints(self.layout.joint_rates(self.velocity)))
 
     def copy(self) -> State:
@@ -118,7 +121,8 @@ def require_same_joints(state: State, layout: Layout) -> None:
     """
     if not state.layout.same_joints(layout):
         raise ModelError(
-            f"this state belongs to a system with arms {', '.join(state.layout.names)} "
+            f"this state belongs to a system with {state.layout.noun} "
+            f"{', '.join(state.layout.names)} "
             f"({count_of(state.layout.joints, 'joint')}), not to this one; make it with "
             "`system.state(...)`"
         )
@@ -154,5 +158,6 @@ def fill_by_arm(
         )
     for arm, values in given.items():
         if arm not in views:
-            raise error(f"{what}: unknown arm {arm!r}; arms are {', '.join(views)}")
+            noun = "robot" if "/" in str(arm) else "arm"  # a tip in place of its robot
+            raise error(f"{what}: unknown {noun} {arm!r}; {noun}s are {', '.join(views)}")
         views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size, error)

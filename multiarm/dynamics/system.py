@@ -27,7 +27,7 @@ from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
-from multiarm.results.channels import Channel, trajectory_channels
+from multiarm.results.channels import Channel, RowOwner, trajectory_channels
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
 from multiarm.scene.values import is_finite
@@ -183,13 +183,22 @@ class System:
 
     def _repr_html_(self) -> str:
         facts = {"object": f"{self.model.constants.object_mass:g} kg"}
-        for joint in self.scene.joints:
-            arm, rows = self.arms[joint.arm], len(self.contacts[joint.arm])
-            facts[f"arm {joint.arm}"] = (
-                f"{count_of(arm.dof, 'joint')}, joined by {joint.kind}: "
-                f"{count_of(rows, 'contact')}, free: "
-                f"{', '.join(self.frames[joint.arm].labels) or 'nothing'}"
+        joints = {joint.connection: joint for joint in self.scene.joints}
+        for name, pair in self.model.connections.items():
+            noun, of_robot = "arm", ""
+            if pair.first.tip or not pair.on_object:
+                noun = "connection"
+            else:
+                of_robot = f"{count_of(self.arms[name].dof, 'joint')}, joined by "
+            facts[f"{noun} {name}"] = (
+                f"{of_robot}{joints[name].kind}: {count_of(len(self.contacts[name]), 'contact')}, "
+                f"free: {', '.join(self.frames[name].labels) or 'nothing'}"
             )
+        facts |= {
+            f"robot {name}": count_of(arm.dof, "joint")
+            for name, arm in self.arms.items()
+            if name not in self.model.connections
+        }
         python = self.model.python_control
         of_scene = python is None or python.in_scene
         facts["control"] = self.scene.control.kind if of_scene else "a function in Python"
@@ -261,7 +270,15 @@ class System:
             model.contacts_with_states,
             [record.name for record in around],
             model.controlled,
+            {name: self._row_owner(name) for name in model.contacts},
         )
+
+    def _row_owner(self, name: str) -> RowOwner:
+        """Whose rows an owner of rows has."""
+        if name not in self.model.connections:
+            return RowOwner(name, "", False)
+        pair = self.model.connections[name]
+        return RowOwner(pair.robot, str(pair.second), pair.first.is_link)
 
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""
@@ -317,6 +334,8 @@ class System:
 
     def kinematics(self, state: State | None = None) -> Kinematics:
         """Poses, twists and Jacobians of the arms' tips, ``kinematics().tips["left"]``.
+
+        Those of a robot with several tips are ``tips["cart/left"]``.
 
         Parameters
         ----------

@@ -11,6 +11,7 @@ from multiarm.dynamics.layout import NAMED_ARMS
 from multiarm.dynamics.state import State
 from multiarm.errors import ModelError
 from multiarm.public import public_names
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import counted
 
 
@@ -21,11 +22,12 @@ class _UnknownArmError(ModelError, KeyError):
 
 
 class _Tips(dict[str, TipKinematics]):
-    """By arm, in the order of the scene."""
+    """By tip, in the order of the scene."""
 
-    def __missing__(self, arm: str) -> TipKinematics:
+    def __missing__(self, name: str) -> TipKinematics:
         known = ", ".join(map(repr, self))
-        raise _UnknownArmError(f"tips: unknown arm {arm!r}; arms are {known}")
+        noun = "tip" if any("/" in tip for tip in self) else "arm"
+        raise _UnknownArmError(f"tips: unknown {noun} {name!r}; {noun}s are {known}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,9 @@ class Kinematics:
 
     Attributes
     ----------
-    tips : dict arm -> TipKinematics
+    tips : dict tip -> TipKinematics
+        ``"left"`` of an arm, ``"cart/left"`` of a robot with several tips; of these also the links
+        that joints name besides its tips.
     """
 
     tips: dict[str, TipKinematics]
@@ -48,8 +52,10 @@ class Kinematics:
 
 
 def kinematics_of(arms: Iterable[Arm], state: State) -> Kinematics:
-    """The tips of some arms at a state."""
+    """The tips of some arms and robots at a state."""
     tips, positions, velocities = _Tips(), state.joint_positions, state.joint_velocities
     for arm in arms:
-        tips[arm.name] = arm.tip_kinematics(positions[arm.name], velocities[arm.name])
+        for tip in arm.tips:
+            name = str(BodyName(arm.name, tip))
+            tips[name] = arm.tip_kinematics(positions[arm.name], velocities[arm.name], tip)
     return Kinematics(tips)

@@ -31,7 +31,7 @@ from multiarm.scene.registry import called
 
 
 class Link(NamedTuple):
-    """A link of an arm on which an effect acts."""
+    """A link of an arm or robot on which an effect acts."""
 
     # index in ``EffectVariables.link_poses`` of the address of its joint's pose: 12 numbers,
     # rotation by columns, origin
@@ -41,7 +41,7 @@ class Link(NamedTuple):
     # the world's origin)
     block: int
     first: int  # the block's first joint among all
-    chain: np.ndarray  # (m,) the joints that move the link, counted from it, from base to link
+    chain: np.ndarray  # (d,) the joints that move the link, counted from it, from base to link
     # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
     rotation: np.ndarray
     translation: np.ndarray

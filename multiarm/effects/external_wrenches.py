@@ -67,12 +67,12 @@ class ExternalWrenches(NamedTuple):
     on_link: Ints1  # whether it acts on a link, else on the object
     in_body: Ints1  # whether its axes are those of the body, else of the world
     # of one on a link: number of its pose, block of the joints that move it, the block's first
-    # joint, number of these joints, and (k, d) these joints, counted from the block's first
+    # joint; (k, d) these joints, counted from the block's first, and how many they are
     link: Ints1
     block: Ints1
     first_joint: Ints1
-    joints: Ints1
     chain: Ints2
+    joints: Ints1
     function: Ints1  # address of a function that writes it
     # of a table: its first row among those of all tables, and how many
     first_row: Ints1
@@ -136,16 +136,17 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     A joint displaces the columns of those after it, the point, and axes of the body, by its twist
     about the world's origin.
     """
-    count, first, chain = wrenches.joints[k], wrenches.first_joint[k], wrenches.chain[k]
-    J = floats_at(jacobian_address(wrenches, k, data), size_of_jacobian(wrenches, k))
+    first, chain = wrenches.first_joint[k], wrenches.chain[k]
+    addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
+    J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     row, column = chart_places(data).joints + first, force_columns(data).positions + first
-    for a in range(count):
+    for a in range(wrenches.joints[k]):
         i = chain[a]
         v, w = vec(J, 6 * i), vec(J, 6 * i + 3)
         df, dm = ZERO, cross(add_cross(v, w, lever), f)
         if follows:
             df, dm = cross(w, f), add_cross(cross(w, m), v, f)
-        for b in range(count):
+        for b in range(wrenches.joints[k]):
             j = chain[b]
             twist = vec(J, 6 * j), vec(J, 6 * j + 3)
             slope = dot(twist[0], df) + dot(twist[1], dm)
@@ -153,18 +154,6 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
                 moved = twist_product((v, w), twist)
                 slope += dot(moved[0], f) + dot(moved[1], m)
             data.slopes.force[row + j, column + i] += slope
-
-
-@inlined
-def jacobian_address(wrenches, k, data):
-    """The Jacobian of the block whose joints move the link of a wrench, column by column."""
-    return open_addresses(data.bodies.pointers[wrenches.block[k]]).jacobian
-
-
-@inlined
-def size_of_jacobian(wrenches, k):
-    """How many numbers it has up to the last joint that moves the link."""
-    return 6 * (wrenches.chain[k, wrenches.joints[k] - 1] + 1) if wrenches.joints[k] > 0 else 0
 
 
 @kernel
@@ -234,7 +223,8 @@ def apply_wrench(wrenches, k, lever, data):
         put(f_o, 3, add(vec(f_o, 3), m))
         return dot(f, body.velocity) + dot(m, body.spin)
     first, power = wrenches.first_joint[k], 0.0
-    J = floats_at(jacobian_address(wrenches, k, data), size_of_jacobian(wrenches, k))
+    addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
+    J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     for a in range(wrenches.joints[k]):
         j = wrenches.chain[k, a]
         torque = dot(f, vec(J, 6 * j)) + dot(m, vec(J, 6 * j + 3))
@@ -243,10 +233,17 @@ def apply_wrench(wrenches, k, lever, data):
     return power
 
 
+@inlined
+def columns_of_carriers(wrenches, k):
+    """Number of columns of a block's Jacobian up to that of the last joint that carries a link."""
+    joints = wrenches.joints[k]
+    return wrenches.chain[k, joints - 1] + 1 if joints > 0 else 0
+
+
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of external wrenches; their functions have been loaded."""
-    longest = max(context.layout.joint_counts)
-    wrenches, breakpoints = _without_course(len(spec), longest), [np.zeros(0)]
+    joints = max(context.layout.joint_counts)
+    wrenches, breakpoints = _without_course(len(spec), joints), [np.zeros(0)]
     functions: dict[int, Callable] = {}
     for k, wrench in enumerate(spec):
         _place(wrench, context, wrenches, k)
@@ -294,18 +291,18 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
     ]
 
 
-def _without_course(count: int, longest: int) -> ExternalWrenches:
+def _without_course(count: int, joints: int) -> ExternalWrenches:
     """Arrays for a number of wrenches, all of them zero, and no table.
 
-    ``longest`` is the largest number of joints of a block.
+    ``joints`` is the largest number of joints of a block.
     """
     widths = {"frame": 9, "point": 3, "size": 6, "wrench": 6}
     numbers = ("frequency", "phase", "begin", "end")
     tables = {"times": np.zeros(0), "cubics": np.zeros((0, 6, 4))}
     integers = set(ExternalWrenches._fields) - {*widths, *numbers, *tables, "chain"}
     return ExternalWrenches(
+        chain=np.zeros((count, joints), dtype=np.int64),
         **{name: np.zeros(count, dtype=np.int64) for name in integers},
-        chain=np.zeros((count, longest), dtype=np.int64),
         **{name: np.zeros(count) for name in numbers},
         **{name: np.zeros((count, width)) for name, width in widths.items()},
         **tables,

@@ -50,8 +50,9 @@ def write_sample(struct, t, works, row):
         while c < blocks.size and work.first_joint[blocks[c]] < last:
             at = append_contacts(model, data, c, row, at)
             c += 1
-    if c < blocks.size:  # the surroundings
+    while c < blocks.size:  # those of no robot
         at = append_contacts(model, data, c, row, at)
+        c += 1
     last = works.size - 1
     at = append(row, at, works[:last])
     row[at], row[at + 1] = kinetic_energy(data, work), potential_energy(struct)

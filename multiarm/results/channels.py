@@ -29,6 +29,13 @@ FLOOR = "floor"
 """In place of an arm: contacts of the object with its surroundings."""
 OBJECT, ARMS, ENVIRONMENT, EFFECTS = "object", "arms", "environment", "effects"
 """Groups of channels; others, such as ``energy``, are of the whole run."""
+# Descriptions of forces: of a connection on its second body, of rows of joints, of the floor.
+_CONTACT_FORCES = "force at each contact along its normal; positive pushes the {}"
+_JOINT_FORCES = (
+    "torque (force, if the joint slides) of joints' stops, dry friction and couplings; positive "
+    "drives the joint along the row's direction"
+)
+_FLOOR_FORCES = "force of the floor at each contact along its normal; positive pushes the object"
 
 
 class Owner(NamedTuple):
@@ -155,6 +162,16 @@ def owner_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(owner.name for owner in owners if owner.group == ARMS))
 
 
+def contact_owners(channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """Names of the arms and connections whose contacts have channels, in the order of the scene."""
+    for quantity in ("wrench", "contact_force"):  # results of earlier versions have no wrenches
+        owners = [c.owner for c in channels.values() if c.quantity == quantity]
+        names = tuple(owner.name for owner in owners if owner.group == ARMS)
+        if names:
+            return names
+    return ()
+
+
 def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
     """Arm, connection or "floor" -> name of its channel of a quantity, of the channels of a run."""
     of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
@@ -177,9 +194,14 @@ def work_channels(channels: Mapping[str, Channel]) -> dict[str, str]:
 class RowOwner(NamedTuple):
     """Whose rows of W some are, where that is not an arm with one tip at the object."""
 
-    robot: str
+    robot: str  # empty where no robot takes part
     second: str  # the body on which the forces act; empty where the rows are those of joints
     first_is_link: bool  # the first body has the motion of a tip
+
+    @property
+    def on_object(self) -> bool:
+        """Whether the forces act on the object."""
+        return self.second == OBJECT
 
 
 def trajectory_channels(
@@ -224,19 +246,16 @@ def trajectory_channels(
         if controlled:
             channels.append(control_power_channel(f"arms/{robot}"))
         for owner in (name for name, fact in facts.items() if fact.robot == robot):
-            path = f"arms/{owner}"
-            channels += _contact_channels(
-                path, contacts[owner], states.get(owner, ()), "force at each contact"
+            channels += _owner_channels(
+                owner, facts[owner], contacts[owner], states.get(owner, ()), free.get(owner, {})
             )
-            if free.get(owner):
-                channels += _free_channels(path, free[owner])
-            if facts[owner].second:
-                channels.append(wrench_channel(path, facts[owner].second))
-            if facts[owner].first_is_link:
-                channels += tip_channels(path)
+    for owner in (name for name, fact in facts.items() if not fact.robot):
+        channels += _owner_channels(
+            owner, facts[owner], contacts[owner], states.get(owner, ()), free.get(owner, {})
+        )
     if environment:
         channels += _contact_channels(
-            "environment", environment, states.get(FLOOR, ()), "force of the floor at each contact"
+            "environment", environment, states.get(FLOOR, ()), _FLOOR_FORCES
         )
         channels.append(wrench_channel("environment"))
     scalars = [
@@ -255,6 +274,26 @@ def trajectory_channels(
     ]  # fmt: skip
     channels += [Channel(name, (), unit, "", text) for name, unit, text in scalars]
     return tuple(channels)
+
+
+def _owner_channels(
+    owner: str,
+    fact: RowOwner,
+    contacts: Sequence[str],
+    with_states: Sequence[str],
+    free: Mapping[str, str],
+) -> list[Channel]:
+    """The channels of an owner of rows: forces, states, free motions, wrench and tip."""
+    path = f"{ARMS}/{owner}"
+    force = _CONTACT_FORCES.format(fact.second) if fact.second else _JOINT_FORCES
+    channels = _contact_channels(path, contacts, with_states, force)
+    if free:
+        channels += _free_channels(path, free, fact.on_object)
+    if fact.second:
+        channels.append(wrench_channel(path, fact.second))
+    if fact.first_is_link:
+        channels += tip_channels(path)
+    return channels
 
 
 def tip_channels(path: str) -> list[Channel]:
@@ -317,8 +356,8 @@ def _contact_channels(
 ) -> list[Channel]:
     channels = [
         Channel(
-            f"{path}/contact_force", (len(contacts),), "N", "contact normals",
-            f"{force} along its normal; positive pushes the object", tuple(contacts),
+            f"{path}/contact_force", (len(contacts),), "N", "contact normals", force,
+            tuple(contacts),
         )
     ]  # fmt: skip
     if with_states:
@@ -328,16 +367,18 @@ def _contact_channels(
     return channels
 
 
-def _free_channels(path: str, free: Mapping[str, str]) -> list[Channel]:
-    labels, n, frame = tuple(free), (len(free),), "joint frame on the object"
+def _free_channels(path: str, free: Mapping[str, str], on_object: bool) -> list[Channel]:
+    first, second = ("arm", "object") if on_object else ("first body", "second body")
+    labels, n, frame = tuple(free), (len(free),), f"joint frame on the {second}"
     return [
         Channel(
             f"{path}/relative_rate", n, ", ".join(f"{unit}/s" for unit in free.values()), frame,
-            "free motion of the arm's joint frame relative to the object's: its rates", labels,
+            f"free motion of the {first}'s joint frame relative to the {second}'s: its rates",
+            labels,
         ),
         Channel(
             f"{path}/relative_position", n, ", ".join(free.values()), frame,
-            "translation, and angle (several: rotation vector), of the arm's joint frame seen from "
-            "the object's", labels,
+            f"translation, and angle (several: rotation vector), of the {first}'s joint frame seen "
+            f"from the {second}'s", labels,
         ),
     ]  # fmt: skip

@@ -78,8 +78,9 @@ class RunEvent:
         What happened, where the word of the kind does not say it all.
     arm : str
         Empty for none, as ``contact`` and ``joint``; "floor" for the object's own contacts.
-    body : {"", "object", "arm"}
-        Whose surface a contact has left, or come back to.
+    body : str
+        Whose surface a contact has left, or come back to: "object", "arm", "world", or the link of
+        a robot; else empty.
     where : tuple of float or None
         World [m].
     sides : tuple of Side or None

@@ -21,7 +21,13 @@ import numpy as np
 from multiarm.errors import SceneError, TrajectoryError
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
-from multiarm.results.channels import Channel, arm_names, channels_of, work_channels
+from multiarm.results.channels import (
+    Channel,
+    arm_names,
+    channels_of,
+    contact_owners,
+    work_channels,
+)
 from multiarm.results.energy import energy_at_start, energy_balance
 from multiarm.results.event_log import CLAUSE_SEPARATOR
 from multiarm.results.files import atomic_file
@@ -64,7 +70,10 @@ class _MissingArmError(TrajectoryError, KeyError):
 
 
 class ByArm(Mapping[str, np.ndarray]):
-    """One quantity of every arm, and of the floor where it has contacts; read on access."""
+    """One quantity of every arm, or connection, and of the floor where it has contacts.
+
+    Read on access.
+    """
 
     def __init__(self, quantity: str, names: dict[str, str], read: Callable[[str], np.ndarray]):
         self._quantity, self._names, self._read = quantity, names, read
@@ -77,7 +86,8 @@ class ByArm(Mapping[str, np.ndarray]):
             )
         if arm not in self._names:
             known = ", ".join(map(repr, self._names))
-            raise _MissingArmError(f"unknown arm {arm!r}; arms are {known}")
+            noun = "connection" if any("/" in name for name in self._names) else "arm"
+            raise _MissingArmError(f"unknown {noun} {arm!r}; {noun}s are {known}")
         return self._read(self._names[arm])
 
     def __iter__(self) -> Iterator[str]:
@@ -91,7 +101,10 @@ class Trajectory:
     """A run: samples, outcome and provenance. Read-only.
 
     Arrays have the K samples as leading axis. Per-arm channels are mappings from the arm's name;
-    an arm has nv joints, base to tip, and N contacts.
+    an arm has nv joints, base to tip, and N contacts. Where robots have several tips, channels of
+    joints are by robot, ``joint_positions["cart"]``, those of contacts and tips by connection,
+    ``contact_forces["cart/left"]``; a robot whose joints have rows of their own, such as couplings
+    and stops, has these under its name.
     """
 
     __slots__ = ("_cache", "_outcome", "_scene", "_simulated", "_store")
@@ -193,7 +206,7 @@ class Trajectory:
 
     @property
     def arm_names(self) -> tuple[str, ...]:
-        """Names of the arms, in the order of the scene."""
+        """Names of the arms and robots, in the order of the scene."""
         return arm_names(self._store.channels)
 
     def channel(self, name: str) -> np.ndarray:
@@ -266,7 +279,7 @@ class Trajectory:
 
     @property
     def contact_forces(self) -> Mapping[str, np.ndarray]:
-        """Arm -> forces along the contact normals, shape (K, N) [N]; positive pushes.
+        """Arm, connection -> forces along the contact normals, shape (K, N) [N]; positive pushes.
 
         ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
         """
@@ -274,9 +287,10 @@ class Trajectory:
 
     @property
     def wrenches(self) -> Mapping[str, np.ndarray]:
-        """Arm -> resultant of its contact forces on the object, with friction, shape (K, 6).
+        """Arm, connection -> resultant of its contact forces on the second body, shape (K, 6).
 
-        Force [N] and moment [N m] about the object's centre of mass, world axes, as in
+        With friction; force [N] and moment [N m], world axes, about the object's centre of mass, on
+        another body about the origin of the joint's frame there, as in
         :attr:`multiarm.Evaluation.wrenches`; ``"floor"`` has that of the floor, in scenes that have
         one.
         """
@@ -330,7 +344,10 @@ class Trajectory:
         """Arm -> names of its joint's free motions, such as ("slide z", "turn z")."""
         channels = self._store.channels
         names = channels_of(channels, "relative_rate")
-        return {arm: channels[names[arm]].labels if arm in names else () for arm in self.arm_names}
+        return {
+            owner: channels[names[owner]].labels if owner in names else ()
+            for owner in contact_owners(channels)
+        }
 
     @property
     def kinetic_energy(self) -> np.ndarray:
@@ -523,10 +540,10 @@ class Trajectory:
         self._store.close()
 
     def _by_arm(self, quantity: str, optional: bool = False) -> ByArm:
-        """A quantity's channels; ``optional``: an arm without one has no columns of it."""
+        """A quantity's channels; ``optional``: an owner without one has no columns of it."""
         names = channels_of(self._store.channels, quantity)
         if optional:
-            names = dict.fromkeys(self.arm_names, "") | names
+            names = dict.fromkeys(contact_owners(self._store.channels), "") | names
 
         def read(name: str) -> np.ndarray:
             return self.channel(name) if name else np.empty((len(self), 0))

@@ -51,7 +51,7 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import Word, number
-from multiarm.results.channels import arm_channel
+from multiarm.results.channels import FLOOR, arm_channel, channels_of
 from multiarm.results.energy import largest_imbalance
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
@@ -327,7 +327,8 @@ def _energy_check(
 
 def _work_on_gaps(run: Trajectory) -> float:
     """Bound of the work of contact forces on gaps that are not closed [J]."""
-    forces = [arm_channel(arm, "contact_force") for arm in run.arm_names]
+    owners = channels_of(run.channels, "contact_force")
+    forces = [name for owner, name in owners.items() if owner != FLOOR]
     largest, gap, opened, before = 0.0, 0.0, 0.0, None
     for time, gaps, rates, *blocks in run.blocks(
         "time", "drift/position", "drift/velocity", *forces

@@ -10,6 +10,7 @@ import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.failures import is_tip_of_arm
 from multiarm.dynamics.guard_functions import (
     DriveMargin,
     PatchDepth,
@@ -66,7 +67,10 @@ def _event(data: Data, g: int, time: float) -> RunEvent:
     if isinstance(watched, DriveMargin):
         name = model.arm_names[model.layout.robot_of_joint(watched.joint)]
         return RunEvent(time, kind, arm=name, joint=model.joint_name(watched.joint))
-    (arm, contact), body = model.owner(int(data.guards.held[watched.row])), ""
+    (owner, contact), body = model.owner(int(data.guards.held[watched.row])), ""
     if isinstance(watched, PatchDepth):
-        body = "object" if watched.body == model.object_number else "arm"
-    return RunEvent(time, kind, arm=arm, contact=contact.name, body=body)
+        pair = model.connections[owner]
+        body = "arm" if is_tip_of_arm(pair) else str(pair.first)
+        if watched.body == model.bodies_of(owner)[1]:
+            body = str(pair.second)
+    return RunEvent(time, kind, arm=owner, contact=contact.name, body=body)

@@ -88,10 +88,13 @@ def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -
 
 
 def _nearest(data: Data, i: int) -> str:
-    """Text for the direction in which an arm moves least."""
+    """Text for the direction in which a block moves least."""
     work, layout = data.work, data.model.layout
     d, m = layout.joint_counts[i], layout.contact_counts[i]
     inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
-    return "; ".join(describe(data, data.model.blocks[i], directions[-1:].T))
+    rows, of_block = layout.contacts_of_robot(layout.robot_of_block[i]), layout.contacts_of_block(i)
+    of_robot = np.zeros((rows.stop - rows.start, 1))
+    of_robot[of_block.start - rows.start : of_block.stop - rows.start, 0] = directions[-1]
+    return "; ".join(describe(data, data.model.blocks[i], of_robot))

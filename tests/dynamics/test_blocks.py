@@ -98,11 +98,15 @@ def test_joints_of_different_blocks_share_no_inertia_and_no_row(family, tmp_path
         data.set_state(0.0, ma_state)
         rows = constraint_rows(system, ma_state)
         for i, name in enumerate(layout.names):
-            inertia = system.arms[name].terms(
-                ma_state.joint_positions[name],
-                ma_state.joint_velocities[name],
-                next(iter(system.arms[name].tips)),
-            ).M
+            inertia = (
+                system.arms[name]
+                .terms(
+                    ma_state.joint_positions[name],
+                    ma_state.joint_velocities[name],
+                    next(iter(system.arms[name].tips)),
+                )
+                .M
+            )
             for block in layout.blocks_of(i):
                 joints = layout.joints_of_block(block)
                 of_robot = np.arange(joints.start, joints.stop) - layout.first_joint[i]
@@ -135,7 +139,8 @@ KINDS = ({"kind": "ball"}, {"kind": "point_on_plane"}, {"kind": "point_on_plane"
 
 def both_ways(path, rng, **more):
     """A hand as one robot, and its fingers as arms."""
-    angles, base = rng.uniform(-1.0, 1.0, ENDS[-1]), {"xyz": [0.1, 0.2, 0.3], "rpy": [0.4, 0.2, 1.0]}
+    angles = rng.uniform(-1.0, 1.0, ENDS[-1])
+    base = {"xyz": [0.1, 0.2, 0.3], "rpy": [0.4, 0.2, 1.0]}
     tips = {f"tip_{k}": f"link_{end}" for k, end in enumerate(ENDS)}
     box = {"mass": 2.0, "inertia": [0.05, 0.06, 0.07], "twist": [0.1, 0.2, -0.1, 0.3, -0.2, 0.1]}
     scene = {"gravity": [0.0, 0.0, -9.81], "object": box, **more}
@@ -175,8 +180,49 @@ def test_a_hand_moves_as_its_fingers_written_as_arms(hand_file, rng, arms):
     assert robot.conditioning["hand"] == pytest.approx(min(fingers.conditioning.values()))
 
 
-EFFECTS = {
-    "joint_damping": {"coefficient": 0.3},
-    "joint_limits": {"range": {}, "restitution": 0.3},
-    "joint_friction": {"torque": 0.4},
+JOINTS = {
+    f"tip_{k}": [f"joint_{j}" for j in range(end - count + 1, end + 1)]
+    for k, (count, end) in enumerate(zip(FINGERS, ENDS, strict=True))
 }
+STOP = (-1.3, 1.3)
+PUSH = {"force": [3.0, 2.0, 1.0], "torque": [0.1, 0.2, 0.3], "at": [0.1, 0.0, 0.0]}
+RUNS = {
+    "matrix method": ({"integrator": "rodas5p", "tolerance": 1e-9}, {"joint_damping": 0.3}),
+    "variational": ({"integrator": "variational", "step": 1e-3}, {"joint_damping": 0.3}),
+    "dry friction": ({"accuracy": 1e-8}, {"joint_friction": {"torque": 4.0}}),
+    "stops": ({"accuracy": 1e-8}, {"joint_limits": {"restitution": 0.3}}),
+    "wrench on a link": ({"integrator": "rodas5p", "tolerance": 1e-9}, {"external_wrenches": [{}]}),
+}
+
+
+def effects_by_name(effects, joints: dict[str, list[str]], link: str):
+    """The effects with what names a robot or an arm."""
+    if "joint_limits" in effects:
+        ends = {name: dict.fromkeys(of_robot, STOP) for name, of_robot in joints.items()}
+        return {"joint_limits": {**effects["joint_limits"], "range": ends}}
+    if "external_wrenches" in effects:
+        return {"external_wrenches": [{"on": link, **PUSH}]}
+    return effects
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", RUNS)
+def test_a_hand_runs_as_its_fingers_written_as_arms(what, hand_file, rng):
+    settings, effects = RUNS[what]
+    run = {"duration": 0.3, "output_step": 0.1, **settings}
+    as_robot, as_arms = both_ways(hand_file, rng, run=run)
+    every = [joint for joints in JOINTS.values() for joint in joints]
+    as_robot["effects"] = effects_by_name(effects, {"hand": every}, "hand/link_8")
+    as_arms["effects"] = effects_by_name(effects, JOINTS, "tip_3/link_8")
+    robot, fingers = (
+        ma.simulate(ma.compile_system(parse_scene(scene), arms="compiled"))
+        for scene in (as_robot, as_arms)
+    )
+    np.testing.assert_allclose(
+        robot.joint_positions["hand"][-1],
+        np.concatenate([positions[-1] for positions in fingers.joint_positions.values()]),
+        atol=1e-9,  # roundings, which events and the choice of steps magnify
+    )
+    np.testing.assert_allclose(robot.object_position[-1], fingers.object_position[-1], atol=1e-9)
+    if what in ("stops", "dry friction"):
+        assert len(robot.events) == len(fingers.events) > 2

@@ -1,0 +1,124 @@
+"""Claims about starts of robots with several tips: couplings, inner loops, the world.
+
+Oracle: the equations of the connections and couplings by Pinocchio (``tree_oracle``).
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from random_trees import FAMILIES, draw_trees
+from tree_models import TreeState, read_tree_scene, robot_tables
+from tree_oracle import Motions, collect, worst_gap
+from tree_scenes import cart_scene, gripper_scene
+
+import multiarm as ma
+from multiarm.errors import SceneError
+from multiarm.scene import parse_scene
+
+# Gaps are closed to 100 roundings of the scene's size, which is a few metres at most.
+CLOSED = 1e-12
+
+
+def start_state(system) -> TreeState:
+    start = system.initial_state()
+    return TreeState(
+        start.object_position, start.object_quaternion_xyzw, start.object_twist,
+        dict(start.joint_positions), dict(start.joint_velocities),
+    )  # fmt: skip
+
+
+def gap_rates(trees, state) -> np.ndarray:
+    """Rates of all equations of connections and couplings [m/s, rad/s]."""
+    motions = Motions(trees, state)
+    n, rates = motions.coordinates.size, motions.coordinates.rates
+    v = np.concatenate([motions.models[name].velocity for name in motions.names])
+    return collect(trees, motions.frame, n, rates).A @ v
+
+
+def shaken(scene, rng, joints=0.01, place=0.0, rates=0.1):
+    """The scene with other postures, another pose of the object, and other velocities."""
+    scene = copy.deepcopy(scene)
+    for spec in robot_tables(scene).values():
+        n = len(spec["posture"])
+        spec["posture"] = (spec["posture"] + joints * rng.uniform(-1.0, 1.0, n)).tolist()
+        velocity = np.array(spec.get("velocity", np.zeros(n)))
+        spec["velocity"] = (velocity + rates * rng.uniform(-1.0, 1.0, n)).tolist()
+    pose = scene["object"]["pose"]
+    pose["xyz"] = (pose["xyz"] + place * rng.uniform(-1.0, 1.0, 3)).tolist()
+    return scene
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_postures_and_velocities_are_put_on_all_connections(family, tmp_path):
+    rng = np.random.default_rng(3)
+    drawn = draw_trees(family, rng, tmp_path)
+    scene = shaken(drawn.scene, rng)
+    trees = read_tree_scene(scene)
+    system = ma.compile_system(parse_scene(scene))
+    state = start_state(system)
+    assert worst_gap(trees, state) < CLOSED
+    assert np.max(np.abs(gap_rates(trees, state))) < CLOSED * 10.0  # of terms of some m/s
+    report = system.start_report
+    owners = [*drawn.trees.robots, *(connection.name for connection in trees.connections)]
+    assert set(report.gaps) <= set(owners)
+    assert report.joint_changes.keys() == drawn.trees.robots.keys()
+    assert max(report.gaps.values()) > 1e-4
+    assert max(report.gaps_left.values()) < CLOSED
+
+
+def test_the_object_is_put_where_the_world_holds_it(tmp_path):
+    rng, drawn = np.random.default_rng(0), None
+    while drawn is None or not any("object" in j.get("between", ()) for j in drawn.scene["joints"]):
+        drawn = draw_trees("surroundings", rng, tmp_path)
+    scene = shaken(drawn.scene, rng, joints=0.0, place=0.01, rates=0.0)
+    trees = read_tree_scene(scene)
+    system = ma.compile_system(parse_scene(scene))
+    assert not system.start_report.object_held
+    assert worst_gap(trees, start_state(system)) < CLOSED
+
+
+def test_a_leader_written_alone_moves_its_followers():
+    """A gripper's linkages and couplings follow the crank; the couplings are exact."""
+    scene = gripper_scene()
+    scene["joints"] = scene["joints"][2:] + [{"between": ["object", "world"], "kind": "weld"}]
+    scene["joints"][-1]["at"] = scene["object"]["pose"]
+    scene["robots"]["gripper"]["posture"][0] += 0.1
+    system = ma.compile_system(parse_scene(scene))
+    state = start_state(system)
+    assert worst_gap(read_tree_scene(scene), state) < CLOSED
+    moved = state.joint_positions["gripper"] - 0.3
+    assert np.min(np.abs(moved)) > 0.02  # all six share the correction
+    assert system.start_report.object_held
+
+
+def test_starts_too_far_off_are_refused_with_the_connections_that_are():
+    scene = gripper_scene()
+    scene["robots"]["gripper"]["posture"][1] += 0.9
+    with pytest.raises(SceneError) as error:
+        ma.compile_system(parse_scene(scene))
+    text = str(error.value)
+    assert "gripper" in text and "left_loop" in text
+    scene = cart_scene()
+    scene["object"]["pose"]["xyz"][0] += 1.5
+    with pytest.raises(SceneError, match="cart/left"):
+        ma.compile_system(parse_scene(scene))
+
+
+def test_the_size_of_a_scene_does_not_depend_on_where_its_base_has_gone():
+    """Gaps up to a tenth of the size are assembled: 3 m are none of a cart 40 m away."""
+    from multiarm.assembly.linkage import scene_size
+    from multiarm.dynamics.contact_geometry import place_state
+
+    sizes = []
+    for away in (0.0, 40.0):
+        scene = cart_scene()
+        scene["object"]["pose"]["xyz"][0] += away
+        scene["robots"]["cart"]["posture"][0] += away
+        system = ma.compile_system(parse_scene(scene))
+        with system.borrow() as data:
+            place_state(data, 0.0, system.initial_state())
+            sizes.append(scene_size(data))
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-12)
