@@ -149,14 +149,23 @@ class Arm:
     def _make_tip(self, link: str) -> ArmTip:
         frame_id = _frame_id(self.model, link, self.name)
         frame = self.model.frames[frame_id]
-        chain = [joint - 1 for joint in self.model.supports[frame.parentJoint] if joint > 0]
         return ArmTip(
             frame_id=frame_id,
             joint=frame.parentJoint,
             rotation=frame.placement.rotation.copy(),
             translation=frame.placement.translation.copy(),
-            chain=np.array(chain, dtype=np.int64),
+            chain=self.chain_of(frame.parentJoint),
         )
+
+    def chain_of(self, joint: int) -> np.ndarray:
+        """The joints from the base to a joint that Pinocchio counts from 1, counted from 0."""
+        joints = [before - 1 for before in self.model.supports[joint] if before > 0]
+        return np.array(joints, dtype=np.int64)
+
+    @property
+    def parents(self) -> np.ndarray:
+        """Number of the joint before each joint, counted from 0; -1: the base; int64 (n,)."""
+        return np.array(self.model.parents[1:], dtype=np.int64) - 1
 
     @property
     def tip(self) -> ArmTip:
@@ -283,7 +292,7 @@ class Arm:
             names = ", ".join(np.array(self.joint_names)[turns & slides])
             raise ModelError(f"{names} turns and slides at once")
         return ArmStructure(
-            parents=np.array(model.parents[1:], dtype=np.int64) - 1,
+            parents=self.parents,
             slides=slides,
             axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
             rotations=np.array([model.jointPlacements[k].rotation for k in links]),

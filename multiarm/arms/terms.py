@@ -14,14 +14,26 @@ from multiarm.public import public_names
 
 
 class TermAddresses(NamedTuple):
-    """Addresses of a robot's float64 terms, a row of int64."""
+    """Addresses of the float64 terms of a robot or of a block of its joints, a row of int64."""
 
     inertia: Number
     stride: Number  # of the inertia, in numbers
-    # (n, 6): the columns one after the other, each as if its joint moved the whole robot
+    # (n, 6): the columns one after the other, each as if its joint moved all links
     jacobian: Number
     bias: Number
     gravity_torque: Number
+
+
+def terms_of_block(of_robot: np.ndarray, first: int) -> TermAddresses:
+    """Addresses of the terms of a block, whose first joint is number ``first`` of its robot."""
+    robot = TermAddresses(*of_robot.tolist())
+    return TermAddresses(
+        inertia=robot.inertia + NUMBER_BYTES * first * (robot.stride + 1),
+        stride=robot.stride,
+        jacobian=robot.jacobian + NUMBER_BYTES * 6 * first,
+        bias=robot.bias + NUMBER_BYTES * first,
+        gravity_torque=robot.gravity_torque + NUMBER_BYTES * first,
+    )
 
 
 class LinkAddresses(NamedTuple):
@@ -35,6 +47,7 @@ class LinkAddresses(NamedTuple):
     drift: Number = 0
 
 
+NUMBER_BYTES = np.dtype(float).itemsize
 ADDRESSES, open_addresses = width(TermAddresses), row_of(TermAddresses)
 open_link_addresses = row_of(LinkAddresses)
 
@@ -155,15 +168,21 @@ class MatrixAddress(NamedTuple):
     stride: Number  # in numbers
 
 
+def matrix_of_block(of_robot: np.ndarray, first: int) -> MatrixAddress:
+    """Where the part of a block is, whose first joint is number ``first`` of its robot."""
+    at, stride = of_robot.tolist()
+    return MatrixAddress(at + NUMBER_BYTES * first * (stride + 1), stride)
+
+
 open_matrix = row_of(MatrixAddress)
 
 
 class Coriolis(NamedTuple):
-    """The arms' matrices of Coriolis forces, and what updates them.
+    """Matrices of Coriolis forces, and what updates them.
 
     calls : CoriolisCalls
-    matrices : int64 (arms, 2)
-        The :class:`MatrixAddress` of each arm.
+    matrices : int64 (n, 2)
+        The :class:`MatrixAddress` of each robot, or of each block of the equations.
     """
 
     calls: CoriolisCalls
@@ -197,6 +216,12 @@ class ArmStructure(NamedTuple):
     centres: np.ndarray
     inertias: np.ndarray
     armature: np.ndarray
+
+    def part(self, first: int, count: int) -> ArmStructure:
+        """Structure of neighbouring joints that neither carry others nor are carried by them."""
+        part = ArmStructure(*(values[first : first + count] for values in self))
+        parents = np.where(part.parents >= 0, part.parents - first, -1)
+        return part._replace(parents=parents)
 
 
 class LinkTerms(NamedTuple):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from multiarm.assembly.blocks import Block
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
 from multiarm.errors import SceneError
@@ -40,7 +41,8 @@ class JointLaws:
 def unilateral_constraints(
     scene: Scene,
     contacts: Mapping[str, list[Contact]],
-    robot_of: Mapping[str, str],
+    blocks: Sequence[Block],
+    around: Sequence[str],
     laws: JointLaws,
 ) -> UnilateralConstraints | None:
     """The unilateral constraints and all rows of a scene; None where all rows are bilateral.
@@ -49,9 +51,10 @@ def unilateral_constraints(
     ----------
     scene : Scene
     contacts : mapping connection -> list of Contact
-        Those of a robot together.
-    robot_of : mapping connection -> robot
-        Empty where there is none.
+    blocks : sequence of Block
+        Of the robots, in the order of the equations.
+    around : sequence of str
+        Connections in which no robot takes part.
     laws : JointLaws
 
     Raises
@@ -62,24 +65,11 @@ def unilateral_constraints(
     """
     parameters = _contact_parameters(scene, contacts)
     rows, first = RowBuilder(), 0
-    for robot, of_joints in laws.limits.items():
-        for name in (name for name, owner in robot_of.items() if owner == robot):
-            rows.start(name)
-            for k, contact in enumerate(contacts[name]):
-                rows.add_contact(contact, parameters[name].get(k))
-        rows.start(robot)
-        for number, (joint_name, limit) in enumerate(of_joints.items()):
-            record, joint = JointRow(joint_name, number), first + number
-            rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
-            if laws.dry is not None and laws.dry[robot][number] > 0.0:
-                rows.add_dry_friction(record, joint, float(laws.dry[robot][number]))
-        for coupling in laws.couplings[robot]:
-            rows.add_coupling(coupling)
-        first += len(of_joints)
-    for name in (name for name, robot in robot_of.items() if not robot):
-        rows.start(name)
-        for k, contact in enumerate(contacts[name]):
-            rows.add_contact(contact, parameters[name].get(k))
+    for block in blocks:
+        _add_connections(rows, block.connections, contacts, parameters)
+        _add_joint_rows(rows, scene, block, first, laws)
+        first += len(block.joints)
+    _add_connections(rows, around, contacts, parameters)
     rows.start(SURROUNDINGS)
     if (floor := scene.effects.floor) is not None:
         for contact in floor_contacts(floor, scene.object.shape):
@@ -97,6 +87,48 @@ def unilateral_constraints(
         bilateral=tuple(rows.bilateral),
         compliant=rows.compliant_contacts(),
     )
+
+
+def joints_with_rows(scene: Scene, laws: JointLaws) -> dict[str, set[int]]:
+    """Joints of every robot that have rows of W of their own, counted from 0."""
+    joints = {}
+    for robot, of_joints in laws.limits.items():
+        ends = [_range(scene, robot, *limit)[0] for limit in of_joints.items()]
+        joints[robot] = set(np.flatnonzero(np.isfinite(ends).any(axis=1)).tolist())
+        joints[robot] |= {coupling.joint for coupling in laws.couplings[robot]}
+        if laws.dry is not None:
+            joints[robot] |= set(np.flatnonzero(laws.dry[robot] > 0.0).tolist())
+    return joints
+
+
+def _add_connections(
+    rows: RowBuilder,
+    names: Iterable[str],
+    contacts: Mapping[str, list[Contact]],
+    parameters: Mapping[str, Mapping[int, ContactParameters]],
+) -> None:
+    for name in names:
+        rows.start(name)
+        for k, contact in enumerate(contacts[name]):
+            rows.add_contact(contact, parameters[name].get(k))
+
+
+def _add_joint_rows(
+    rows: RowBuilder, scene: Scene, block: Block, first: int, laws: JointLaws
+) -> None:
+    """Add the rows of a block's joints, of which ``first`` is the first one among all joints."""
+    robot = block.robot
+    limits, dry = list(laws.limits[robot].items()), laws.dry
+    rows.start(block.owner, robot)
+    for number in block.joints:
+        joint_name, limit = limits[number]
+        record, joint = JointRow(joint_name, number), first + number - block.joints.start
+        rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
+        if dry is not None and dry[robot][number] > 0.0:
+            rows.add_dry_friction(record, joint, float(dry[robot][number]))
+    for coupling in laws.couplings[robot]:
+        if coupling.joint in block.joints:
+            rows.add_coupling(coupling)
 
 
 def floor_contacts(spec: FloorSpec, shape: Shape) -> list[Contact]:

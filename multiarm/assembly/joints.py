@@ -5,13 +5,20 @@ Joints that another system (``like``) has too are shared with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.contact_effects import JointLaws, unilateral_constraints
+from multiarm.arms.arm import Arm
+from multiarm.assembly.blocks import Block, branch_bounds, joints_of_connection, robot_blocks
+from multiarm.assembly.contact_effects import (
+    JointLaws,
+    joints_with_rows,
+    unilateral_constraints,
+)
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
 from multiarm.contacts.table import JointRow, PackedContacts, pack
@@ -27,7 +34,6 @@ from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
 from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
-from multiarm.scene.values import SURROUNDINGS
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,8 @@ class Rows:
     """All rows of W of a scene."""
 
     layout: Layout
-    connections: dict[str, Connection]
+    blocks: list[Block]  # of the robots
+    connections: dict[str, Connection]  # in the order of the blocks
     records: Mapping[str, list]  # of every owner, the first body's geometry in its tip's frame
     on_links: dict[str, list]  # the same, geometry on links in that of the joint that moves them
     packed: PackedContacts
@@ -82,36 +89,35 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
 
 def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
     """All rows that can be active, and which of them are unilateral."""
-    arms, connections = robots.arms, scene_connections(scene, robots)
+    connections = scene_connections(scene, robots)
     contacts = {name: joint.contacts for name, joint in joints.items()}
     couplings = {name: _coupling_rows(resolved) for name, resolved in robots.resolved.items()}
-    unilateral = _unilateral(scene, robots, connections, contacts, couplings)
-    records = _bilateral(connections, contacts, couplings)
+    laws = _joint_laws(scene, robots, contacts, couplings)
+    blocks = scene_blocks(scene, robots, connections, laws, couplings)
+    around = [name for name, connection in connections.items() if not connection.robot]
+    unilateral = None
+    if laws is not None:
+        unilateral = unilateral_constraints(scene, contacts, blocks, around, laws)
+    records = _bilateral(blocks, around, contacts, couplings)
     if unilateral is not None:
         records = unilateral.records
-    owners = [owner for owner in records if owner in connections or records[owner]]
-    of_owners = [
-        (connections[owner].robot if owner in connections else owner) or SURROUNDINGS
-        for owner in owners
-    ]
-    blocks = [*arms, *([SURROUNDINGS] if SURROUNDINGS in of_owners else [])]
-    robot_of = [blocks.index(robot) for robot in of_owners]
-    layout = Layout(
-        names=tuple(arms),
-        first_joint=_bounds([arms[name].dof if name in arms else 0 for name in blocks]),
-        owners=tuple(owners),
-        first_contact=_bounds([len(records[name]) for name in owners]),
-        robot_of=tuple(robot_of),
-    )
-    on_links = {}
+    layout = _layout(robots, blocks, connections, records)
+    on_links, owners = {}, layout.owners
     for owner in owners:
         on_links[owner] = records[owner]
         if owner in connections:
             pair = connections[owner]
             first, second = robots.placement(pair.first), robots.placement(pair.second)
             on_links[owner] = [record.moved_on_bodies(first, second) for record in records[owner]]
-    packed = pack([record for on_link in on_links.values() for record in on_link])
-    return Rows(layout, connections, records, on_links, packed, unilateral)
+    starts = [*(block.joints.start for block in blocks), 0]
+    packed = pack(
+        [
+            _in_block(record, starts[block])
+            for block, on_link in zip(layout.block_of, on_links.values(), strict=True)
+            for record in on_link
+        ]
+    )
+    return Rows(layout, blocks, connections, records, on_links, packed, unilateral)
 
 
 def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
@@ -129,28 +135,100 @@ def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
     ]
 
 
-def _bilateral(
+def _in_block(record: Any, start: int) -> Any:
+    """A record with joints counted from the first one of its block, ``start`` of the robot."""
+    if not isinstance(record, JointRow):
+        return record
+    leader = record.leader - start if record.leader >= 0 else -1
+    return replace(record, joint=record.joint - start, leader=leader)
+
+
+def scene_blocks(
+    scene: Scene,
+    robots: Robots,
     connections: Mapping[str, Connection],
+    laws: JointLaws | None,
+    couplings: Mapping[str, list[JointRow]],
+) -> list[Block]:
+    """The blocks of all robots, in the order of the equations."""
+    blocks = []
+    with_rows = {name: {row.joint for row in rows} for name, rows in couplings.items()}
+    if laws is not None:
+        with_rows = joints_with_rows(scene, laws)
+    for name, arm in robots.arms.items():
+        of_robot = [pair for pair in connections.values() if pair.robot == name]
+        blocks += robot_blocks(arm, of_robot, couplings[name], with_rows[name])
+    return blocks
+
+
+def _layout(
+    robots: Robots,
+    blocks: Sequence[Block],
+    connections: Mapping[str, Connection],
+    records: Mapping[str, list],
+) -> Layout:
+    owners = [owner for owner in records if owner in connections or records[owner]]
+    block_of = {name: k for k, block in enumerate(blocks) for name in block.connections}
+    # a robot is the owner of the rows of joints of one block at most
+    rows_of_joints = {
+        block.owner: k
+        for k, block in enumerate(blocks)
+        if any(
+            isinstance(record, JointRow) and record.joint in block.joints
+            for record in records.get(block.owner, ())
+        )
+    }
+    of_owners = [block_of.get(name, rows_of_joints.get(name, len(blocks))) for name in owners]
+    surroundings = [0] if len(blocks) in of_owners else []
+    return Layout(
+        names=tuple(robots.arms),
+        first_joint=_bounds([arm.dof for arm in robots.arms.values()]),
+        first_joint_of_block=_bounds([*(len(block.joints) for block in blocks), *surroundings]),
+        owners=tuple(owners),
+        first_contact=_bounds([len(records[name]) for name in owners]),
+        block_of=tuple(of_owners),
+    )
+
+
+def _bilateral(
+    blocks: Sequence[Block],
+    around: Sequence[str],
     contacts: Mapping[str, list],
     couplings: Mapping[str, list[JointRow]],
 ) -> dict[str, list]:
-    """All rows by owner, where none is unilateral; those of a robot together."""
+    """All rows by owner, where none is unilateral; those of a block together."""
     records: dict[str, list] = {}
-    for robot in (*couplings, ""):
-        for name, connection in connections.items():
-            if connection.robot == robot:
-                records[name] = list(contacts[name])
-        if robot:
-            records.setdefault(robot, []).extend(couplings[robot])
-    return records
+    for block in blocks:
+        records |= {name: list(contacts[name]) for name in block.connections}
+        of_joints = [row for row in couplings[block.robot] if row.joint in block.joints]
+        if of_joints:
+            records.setdefault(block.owner, []).extend(of_joints)
+    return records | {name: list(contacts[name]) for name in around}
 
 
 def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
-    """The connections of a scene's joints, those of a robot together, in the robots' order."""
+    """The connections of a scene's joints in the order of the equations.
+
+    Those of a robot are together, in the robots' order, and so are those of a part of a robot that
+    shares no joint with others; those without a robot are last.
+    """
     of_joints = [Connection(joint.connection, joint.first, joint.second) for joint in scene.joints]
-    order = [*robots.arms, ""]  # those without a robot are last
-    of_joints.sort(key=lambda connection: order.index(connection.robot))
-    return {connection.name: connection for connection in of_joints}
+    ordered: dict[str, Connection] = {}
+    for name, arm in robots.arms.items():
+        of_robot = [connection for connection in of_joints if connection.robot == name]
+        bounds = branch_bounds(arm, of_robot, _coupling_rows(robots.resolved[name]))
+        parts = [
+            [pair for pair in of_robot if _first_joint(arm, pair) in range(*ends)]
+            for ends in pairwise(bounds)
+        ]
+        of_robot = [pair for part in parts for pair in part]
+        ordered |= {connection.name: connection for connection in of_robot}
+    return ordered | {pair.name: pair for pair in of_joints if not pair.robot}
+
+
+def _first_joint(arm: Arm, connection: Connection) -> int:
+    """A joint of the robot that moves a body of a connection; its first where none does."""
+    return next(iter(joints_of_connection(arm, connection)), 0)
 
 
 def _make_joint(joint: Any, scene: Scene, robots: Robots) -> Joint:
@@ -182,13 +260,13 @@ def _check_free(joint: JointSpec, data: Data, start: State) -> None:
         )
 
 
-def _unilateral(
+def _joint_laws(
     scene: Scene,
     robots: Robots,
-    connections: Mapping[str, Connection],
     contacts: Mapping[str, list],
     couplings: Mapping[str, list[JointRow]],
-) -> UnilateralConstraints | None:
+) -> JointLaws | None:
+    """Stops, dry friction and couplings of all joints; None where no row can be unilateral."""
     effects = scene.effects
     has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
     if not (effects.with_events or has_friction):
@@ -201,8 +279,7 @@ def _unilateral(
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    robot_of = {name: connection.robot for name, connection in connections.items()}
-    return unilateral_constraints(scene, contacts, robot_of, JointLaws(limits, couplings, dry))
+    return JointLaws(limits, couplings, dry)
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

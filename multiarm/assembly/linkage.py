@@ -72,7 +72,7 @@ class Linkage:
     data : Data
         Its arrays hold the posture at the beginning, with its kinematics.
     arms : sequence of int
-        Blocks whose rows belong to it: robots that may move, and the surroundings.
+        Blocks whose rows belong to it: those of robots that may move, and the surroundings.
     with_object : bool
         Whether the object may move.
     limits : ndarray, shape (n, 2)
@@ -154,7 +154,7 @@ class Linkage:
         try:
             return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
-            raise SolverError(arm_inertia_text(data.model, data.model.arm_names[i])) from None
+            raise SolverError(arm_inertia_text(data.model, data.model.blocks[i])) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""

@@ -34,6 +34,7 @@ from multiarm.dynamics.equations import (
     write_general_rows,
 )
 from multiarm.dynamics.held_control import with_held_control
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Model, effect_constants, row_constants
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
@@ -88,10 +89,9 @@ def uncontrolled_model(
     enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
-    bodies = BodyTable(arms, backends.links)
-    connections = bodies.connections(layout.owners, layout.robot_of, rows.connections)
+    bodies = BodyTable(arms, backends.links, layout)
+    connections = bodies.connections(rows.connections)
     guards = reporting_guards(of_robots, limits, layout, connections, effects.watched, enforced)
-    around = layout.block_count - len(arms)  # the surroundings, where they have rows
     return Model(
         arms=arms,
         robots=robots.resolved,
@@ -106,7 +106,7 @@ def uncontrolled_model(
         constants=_constants(scene, bodies, connections, frames, rows, effects, backends),
         effects=effects,
         links=tuple(context.links),
-        levers=(*_levers(arms, rows.connections, frames), *[np.zeros(0)] * around),
+        levers=tuple(_levers(arms, rows.connections, frames, layout)),
         functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
@@ -118,7 +118,7 @@ def uncontrolled_model(
 
 def with_joint_frames(model: Model, frames: Mapping[str, JointFrame]) -> Model:
     """The same model with other free motions of its joints."""
-    bodies = BodyTable(model.arms, model.backends.links)
+    bodies = BodyTable(model.arms, model.backends.links, model.layout)
     of_frames = _frame_constants(bodies, model.layout.owners, model.connections, frames)
     constants = model.constants._replace(**of_frames)
     return replace(model, frames=dict(frames), constants=constants)
@@ -150,8 +150,9 @@ def _levers(
     arms: Mapping[str, Arm],
     connections: Mapping[str, Connection],
     frames: Mapping[str, JointFrame],
+    layout: Layout,
 ) -> list[np.ndarray]:
-    """Longest lever of every joint of each robot on the contacts of its connections [m]."""
+    """Longest lever of every joint of each block on the contacts of its connections [m]."""
     levers = {name: [np.zeros(arm.dof)] for name, arm in arms.items()}
     for name, pair in connections.items():
         ends = (pair.first, frames[name].on_tip), (pair.second, frames[name].on_object)
@@ -159,8 +160,9 @@ def _levers(
             if body.robot:
                 arm = arms[body.robot]
                 levers[body.robot].append(arm.levers(frame[:3, 3], body.tip))
-    of_robots = [np.max(of_robot, axis=0) for of_robot in levers.values()]
-    return [np.where(of_robot > 0.0, of_robot, 1.0) for of_robot in of_robots]
+    longest = np.concatenate([np.max(of_robot, axis=0) for of_robot in levers.values()])
+    longest = np.where(longest > 0.0, longest, 1.0)
+    return [longest[layout.joints_of_block(i)] for i in range(layout.block_count)]
 
 
 def _constants(
@@ -175,6 +177,7 @@ def _constants(
     return Constants(
         q_slots=backends.q_slots,
         circular=np.concatenate([arm.circular for arm in bodies.arms.values()]).astype(np.int64),
+        first_joint=np.array(rows.layout.first_joint, dtype=np.int64),
         links=bodies.links(),
         connections=connections,
         object_mass=float(scene.object.mass),

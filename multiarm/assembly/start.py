@@ -255,9 +255,9 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
         return True
     linkage = Linkage(data, list(range(data.model.layout.block_count)), True, limits)
     begin = linkage.posture()
-    of_robots, of_world = _gaps_by_robot(data, gaps)
+    of_blocks, of_world = _gaps_by_block(data, gaps)
     closed, swings = of_world <= tolerance, False
-    for i, gap in enumerate(of_robots if closed else []):
+    for i, gap in enumerate(of_blocks if closed else []):
         if gap > tolerance:
             arm = Linkage(data, [i], False, limits)
             # a larger motion than this for its gap is a swing past a singular posture
@@ -277,14 +277,17 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     raise SceneError(cannot_close(data, name, gaps, linkage, end))
 
 
-def _gaps_by_robot(data: Data, gaps: dict[str, float]) -> tuple[list[float], float]:
-    """Largest gap of every robot, and between object and world, from those of the owners [m]."""
+def _gaps_by_block(data: Data, gaps: dict[str, float]) -> tuple[list[float], float]:
+    """Largest gap of every block of a robot, and between object and world [m].
+
+    ``gaps`` are those of the owners of rows.
+    """
     layout = data.model.layout
     largest = [
         max((gaps.get(layout.owners[c], 0.0) for c in layout.owners_of_block(i)), default=0.0)
         for i in range(layout.block_count)
     ]
-    count = len(layout.names)
+    count = len(layout.blocks_of_robots)
     return largest[:count], max(largest[count:], default=0.0)
 
 

@@ -67,7 +67,7 @@ class Code(NamedTuple):
     normal_part: Number = 0
     first_part: Number = 0  # of combined rows, and how many there are
     parts: Number = 0
-    joint: Number = -1  # its number in the robot, of joints
+    joint: Number = -1  # its number in the block of the equations, of joints
     leader: Number = -1  # the joint that it copies; -1: none
 
 
@@ -271,9 +271,9 @@ def copy_record(table, record, selected, k):
 class JointRows(NamedTuple):
     """The rows of W that belong to a joint of a robot, (r,) numbers each."""
 
-    arm: Ints1
+    block: Ints1
     row: Ints1
-    joint: Ints1
+    joint: Ints1  # among all joints
     leader: Ints1  # the joint that it copies; -1: none
 
 
@@ -286,14 +286,14 @@ def make_joint_rows(count: int) -> JointRows:
 def select_joint_rows(codes, rows, dofs, joint_rows):
     """Write the rows that belong to joints.
 
-    ``rows`` and ``dofs`` (n + 1,) are the first ones of each arm.
+    ``rows`` and ``dofs`` (n + 1,) are the first ones of each block.
     """
     count = 0
     for i in range(rows.size - 1):
         for row in range(rows[i], rows[i + 1]):
             code = open_code(codes[row])
             if code.kind == JOINT:
-                joint_rows.arm[count], joint_rows.row[count] = i, row
+                joint_rows.block[count], joint_rows.row[count] = i, row
                 joint_rows.joint[count] = dofs[i] + code.joint
                 joint_rows.leader[count] = dofs[i] + code.leader if code.leader >= 0 else -1
                 count += 1

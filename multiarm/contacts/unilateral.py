@@ -7,7 +7,7 @@ alone come and go.  Compliant contacts are springs and dampers: their rows are m
 active.  All other rows are *bilateral*.  :mod:`multiarm.assembly.contact_effects` derives the
 constraints from a scene; :mod:`multiarm.events` decides which are active at a time.
 
-Rows are in the order of the stacked vectors: robot by robot the contacts of its connections, each
+Rows are in the order of the stacked vectors: block by block the contacts of its connections, each
 followed by its tangents, then its joints; last the contacts of the object with the floor.
 """
 
@@ -34,6 +34,7 @@ class Constraint:
     kind : str
         ``CONTACT``, ``LIMIT`` or ``DRY_JOINT``.
     arm, name : str
+        Of a contact the owner of its row, of a joint its robot.
     row : int
         Its (normal) row.
     tangents : tuple of int
@@ -147,7 +148,7 @@ class RowBuilder:
     """Builder of the rows of a scene, in order, owner by owner."""
 
     def __init__(self) -> None:
-        self.owner = ""
+        self.owner = self.robot = ""
         self.records: dict[str, list[Contact | JointRow]] = {}
         self.constraints: list[Constraint] = []
         self.model: list[int] = []
@@ -155,18 +156,20 @@ class RowBuilder:
         self.compliant: list[tuple[int, ContactParameters, bool]] = []
         self.count = 0
 
-    def start(self, owner: str) -> None:
-        """Begin, or go on with, the rows of an owner."""
-        self.owner = owner
-        self.records.setdefault(owner, [])
+    def start(self, owner: str, robot: str = "") -> None:
+        """Begin, or go on with, the rows of an owner; ``robot`` has the joints that follow."""
+        self.owner, self.robot = owner, robot
+        if not robot:
+            self.records.setdefault(owner, [])
 
     def _add(self, record: Contact | JointRow) -> int:
-        self.records[self.owner].append(record)
+        self.records.setdefault(self.owner, []).append(record)
         self.count += 1
         return self.count - 1
 
     def _constrain(self, kind: str, record: Contact | JointRow, row: int, **more: Any) -> None:
-        self.constraints.append(Constraint(kind, self.owner, record.name, row, **more))
+        arm = self.owner if kind == CONTACT else self.robot
+        self.constraints.append(Constraint(kind, arm, record.name, row, **more))
 
     def add_contact(self, contact: Contact, parameters: ContactParameters | None) -> None:
         """A contact, bilateral without parameters."""

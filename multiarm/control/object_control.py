@@ -11,19 +11,21 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
   .. math:: \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
             W_i^T\ddot q_i = c_i - W_{oi}^T\dot v_o
 
-  (thesis, 3.10 in joint space).  Of all joint accelerations that the object's motion allows, the
-  law takes the nearest to :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free
-  motions (a hinge that turns, an elbow that floats) at the rate :math:`\delta`.
+  (thesis, 3.10 in joint space).  The rows are those of all connections of a robot, with the object,
+  the world and between its links, and of its couplings; only the first have forces.  Of all joint
+  accelerations that the object's motion and these rows allow, the law takes the nearest to
+  :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free motions (a hinge that
+  turns, an elbow that floats) at the rate :math:`\delta`.
 
 * *Object impedance* holds the object by a spring and a damper, without changing the inertia of
   object and arms: :math:`w = K e + D(v_r - v_o) - m g`,
   :math:`\tau_i = g_i - W_i\lambda_i - \delta M_i P_i\dot q_i` with :math:`P_i` the projection on
-  the arm's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
+  the robot's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
   rotations and with a different stiffness about each axis, so that the law is passive while its
   reference rests: the rotation vector ``theta`` to the reference has the rate
   :math:`-J_r^{-1}(\theta)\,\omega`, hence the moment :math:`J_r^{-T}(\theta) K\theta`.
 
-With a stiffness of the free motions the arms hold their poses on the object instead
+With a stiffness of the free motions the robots hold their poses on the object instead
 (:mod:`multiarm.control.null_space`).
 
 The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).
@@ -37,7 +39,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
-from multiarm.control.null_space import hold_pose, nearest_accelerations
+from multiarm.control.null_space import hold_poses, nearest_accelerations
 from multiarm.control.object_derivatives import (
     differentiate_command,
     write_computed_torque_derivatives,
@@ -78,7 +80,7 @@ def computed_torque(address, size, at, t):
         wrench[a] = -data.forces.f_o[a]
         for b in range(desired.size):
             wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
-    write_contact_forces(law, data, work)
+    write_contact_forces(law, data)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(control.torque.size):
         control.torque[j] -= data.forces.f_j[j]
@@ -101,7 +103,7 @@ def object_impedance(address, size, at, t):
     write_spring_wrench(t, law, state.object_pose, state.object_twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
-    write_contact_forces(law, data, work)
+    write_contact_forces(law, data)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
@@ -141,13 +143,13 @@ def write_spring_wrench(t, law, position, velocity, wrench):
 
 
 @kernel
-def write_contact_forces(law, data, work):
+def write_contact_forces(law, data):
     """Distribute the wrench on the object over the contacts; writes ``data.rows.static_force``."""
     wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
         distribute_wrench(
-            wrench, rows.W_o, work.first_contact, data.bodies.object, law.forces_of_contacts,
-            law.wrenches_of_arms, rows.static_force,
+            wrench, rows.W_o, rows.first, data.bodies.object, law.forces_of_contacts,
+            law.wrenches_of_connections, rows.static_force,
         )  # fmt: skip
     else:
         static_forces(rows.W_o, wrench, rows.static_force)
@@ -155,20 +157,21 @@ def write_contact_forces(law, data, work):
 
 @kernel
 def add_motion_forces(law, command, feedforward, model, data, work):
-    """Add ``M q''`` of all arms with the targets of the command; free motions are damped or held.
+    """Add ``M q''`` of all robots with the targets of the command; free motions are damped or held.
 
-    ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
+    ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
     command.targets.independent = True
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
-    for i in range(data.control.power.size):  # the surroundings have no joints
+    for i in range(work.first_joint.size - 1):
         d0, d1 = work.first_joint[i], work.first_joint[i + 1]
+        if d0 == d1:  # the surroundings
+            continue
         r0, r1 = work.first_contact[i], work.first_contact[i + 1]
-        holds = law.free_stiffness == 0.0 or hold_pose(
-            i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
-            data, work, command.preferred[d0:d1], command.held[i],
-        )  # fmt: skip
+        holds = law.free_stiffness == 0.0 or hold_poses(
+            i, law, command, feedforward, model, data, work
+        )
         independent = nearest_accelerations(
             work.M[i], work.W[i], command.preferred[d0:d1], command.target[r0:r1],
             command.a_j[d0:d1], command.multipliers[r0:r1],

@@ -18,6 +18,7 @@ which returns laws (:mod:`multiarm.dynamics.control_laws`).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,7 +90,7 @@ def user_program(control: Control, context: ControlContext) -> ControlProgram:
         It is no program, or laws cannot be called.
     """
     from multiarm.control.program import ControlProgram
-    from multiarm.dynamics.arrays import CARRYING
+    from multiarm.dynamics.arrays import CARRYING, COUPLED
     from multiarm.dynamics.control_laws import ControlLaw
 
     who = f"control kind {control.kind!r}: build()"
@@ -110,6 +111,9 @@ def user_program(control: Control, context: ControlContext) -> ControlProgram:
             f"{who} returned a program with `reach=CARRYING` whose last law does not say what its "
             f"arms share; give the law a `share_derivative`, or leave `reach` out"
         )
+    if context.data.model.layout.splits_robots:
+        # torques of a robot may depend on all of its joints, not on those of one block only
+        return replace(program, reach=COUPLED)
     return program
 
 

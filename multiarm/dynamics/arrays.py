@@ -90,6 +90,7 @@ class Constants(NamedTuple):
     # sine stand there
     q_slots: Ints1
     circular: Ints1
+    first_joint: Ints1  # (R + 1,) of each robot; last the number of all joints
     contacts: ContactTable  # geometry on links is in the frame of the joint that moves the link
     links: Links
     connections: Connections  # the C owners of rows

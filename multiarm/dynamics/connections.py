@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import AT_REST, Arm, ArmTip
+from multiarm.dynamics.layout import Layout
 from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
 from multiarm.scene.bodies import OBJECT, WORLD, BodyName
@@ -48,18 +49,18 @@ class Connection:
 class Links(NamedTuple):
     """The L links that carry tips, robot after robot."""
 
-    robot: Ints1  # (L,)
-    chain: Ints2  # (L, d) the robot's joints that move a link, counted from 0
+    block: Ints1  # (L,) of the joints that move a link
+    chain: Ints2  # (L, d) these joints, counted from the block's first
     length: Ints1  # (L,) of the chain
 
 
 class Connections(NamedTuple):
     """The C owners of rows; those that are no connection have the world as both bodies."""
 
-    robot: Ints1  # (C,) block
+    block: Ints1  # (C,)
     first: Ints1  # (C,) bodies
     second: Ints1
-    # (C,) whether the chain of the first body is the whole robot, and no second one has columns
+    # (C,) whether the chain of the first body is the whole block, and no second one has columns
     serial: Ints1
 
 
@@ -71,10 +72,14 @@ class BodyTable:
     arms : mapping of str to Arm
     links : sequence of (int, int)
         See ``ArmBackends.links``.
+    layout : Layout
     """
 
-    def __init__(self, arms: Mapping[str, Arm], links: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, arms: Mapping[str, Arm], links: Sequence[tuple[int, int]], layout: Layout
+    ) -> None:
         self.arms, self._robots, self._links = arms, list(arms), list(links)
+        self._layout = layout
 
     @property
     def count(self) -> int:
@@ -99,23 +104,23 @@ class BodyTable:
 
     def links(self) -> Links:
         """The links with their chains."""
-        dofs = [arm.dof for arm in self.arms.values()]
-        chains = np.zeros((len(self._links), max(dofs)), dtype=np.int64)
-        length = np.zeros(len(self._links), dtype=np.int64)
+        layout, count = self._layout, len(self._links)
+        chains = np.zeros((count, max(layout.joint_counts)), dtype=np.int64)
+        block, length = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
         arms = list(self.arms.values())
         for k, (robot, joint) in enumerate(self._links):
             chain = next(t.chain for t in arms[robot].tips.values() if t.joint == joint)
+            block[k], chain = layout.chain_in_block(robot, chain)
             chains[k, : chain.size], length[k] = chain, chain.size
-        return Links(np.array([robot for robot, _ in self._links], dtype=np.int64), chains, length)
+        return Links(block, chains, length)
 
-    def connections(
-        self, owners: Sequence[str], blocks: Sequence[int], pairs: Mapping[str, Connection]
-    ) -> Connections:
-        """The table of the owners of rows, whose blocks are given."""
+    def connections(self, pairs: Mapping[str, Connection]) -> Connections:
+        """The table of the owners of rows."""
+        layout, owners = self._layout, self._layout.owners
         world = self.number(WORLD)
         numbers = np.full((4, len(owners)), world, dtype=np.int64)
         table = Connections(*numbers)
-        table.robot[:], table.serial[:] = blocks, 0
+        table.block[:], table.serial[:] = layout.block_of, 0
         pairs = {SURROUNDINGS: Connection(SURROUNDINGS, WORLD, OBJECT), **pairs}
         for c, owner in enumerate(owners):
             if owner not in pairs:
@@ -123,6 +128,6 @@ class BodyTable:
             pair = pairs[owner]
             table.first[c], table.second[c] = self.number(pair.first), self.number(pair.second)
             if pair.first.is_link and not pair.second.is_link:
-                chain, arm = self.tip(pair.first).chain, self.arms[pair.robot]
-                table.serial[c] = int(chain.size == arm.dof)
+                chain, joints = self.tip(pair.first).chain, layout.joint_counts[layout.block_of[c]]
+                table.serial[c] = int(chain.size == joints)
         return table

@@ -182,10 +182,29 @@ def scaled_force_directions(data: Evaluated) -> np.ndarray:
     """:func:`force_directions`, coordinates scaled by the square root of their inertia."""
     layout, scale = data.model.layout, np.empty(data.model.layout.nv)
     scale[layout.of_frames] = np.sqrt(np.diag(data.arrays.bodies.object_inertia))
-    for i in range(len(layout.names)):
-        joints = layout.of_robot(i)
+    for i in layout.blocks_of_robots:
+        joints = layout.of_block(i)
         scale[joints] = np.sqrt(np.diag(data.work.M[i])[: joints.stop - joints.start])
     return force_directions(data) / scale[:, None]
+
+
+def robot_inertia(data: Evaluated, i: int) -> np.ndarray:
+    """Inertia of a robot's joints, block diagonal by its blocks, symmetric, shape (n_i, n_i)."""
+    layout = data.model.layout
+    blocks, first = layout.blocks_of(i), layout.first_joint[i]
+    inertia = np.zeros((layout.joints_of(i).stop - first,) * 2)
+    for block in blocks:
+        d = layout.joints_of_block(block)
+        part = slice(d.start - first, d.stop - first)
+        lower = np.tril(data.work.M[block, : d.stop - d.start, : d.stop - d.start])
+        inertia[part, part] = lower + np.tril(lower, -1).T
+    return inertia
+
+
+def robot_matrix(data: Evaluated, i: int) -> np.ndarray:
+    """The matrix W of a robot: what unit forces of its rows do to its joints, (n_i, N_i)."""
+    layout = data.model.layout
+    return force_directions(data)[layout.of_robot(i), layout.contacts_of_robot(i)]
 
 
 def force_directions(data: Evaluated) -> np.ndarray:
@@ -193,8 +212,8 @@ def force_directions(data: Evaluated) -> np.ndarray:
     layout, work = data.model.layout, data.work
     directions = np.zeros((layout.nv, layout.contacts))
     directions[layout.of_frames] = data.arrays.rows.W_o.T
-    for i in range(len(layout.names)):
-        joints, rows = layout.of_robot(i), layout.contacts_of_block(i)
+    for i in layout.blocks_of_robots:
+        joints, rows = layout.of_block(i), layout.contacts_of_block(i)
         directions[joints, rows] = work.W[i, : joints.stop - joints.start, : rows.stop - rows.start]
     return directions
 

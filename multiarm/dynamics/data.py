@@ -16,7 +16,7 @@ from weakref import WeakSet
 import numpy as np
 
 from multiarm.arms.backends import Ground
-from multiarm.arms.terms import Coriolis
+from multiarm.arms.terms import Coriolis, MatrixAddress, matrix_of_block, terms_of_block
 from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.dynamics.arrays import FUNCTIONS, STATUS, Constants, system_struct
@@ -46,7 +46,7 @@ from multiarm.dynamics.variables import (
 from multiarm.geometry.records import SmoothShape
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
-from multiarm.jit.rows import fields_of
+from multiarm.jit.rows import fields_of, width
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 
@@ -136,19 +136,24 @@ class SharedData:
 
     def _term_addresses(self, layout: Layout) -> np.ndarray:
         """``Variables.bodies.pointers``; the surroundings are a robot without joints."""
-        pointers = self._backends.pointers
-        if layout.block_count == len(pointers):
-            return pointers
-        return np.vstack([pointers, self._ground.pointers])
+        pointers = [*self._backends.pointers, self._ground.pointers]
+        terms = [terms_of_block(pointers[robot], first) for robot, first in layout.places_of_blocks]
+        return np.array(terms, dtype=np.int64)
 
     def _add_callback(self, name: str, callback: GuardedCall) -> None:
         self.callbacks[name] = callback
         self.calls.add(callback)
         setattr(self.arrays.functions, name, callback.address)
 
-    def coriolis(self) -> tuple[Coriolis, GuardedCall | None]:
-        """See :meth:`multiarm.arms.backends.ArmBackends.coriolis`."""
-        return self._backends.coriolis(self.arrays.status)
+    def coriolis(self, layout: Layout) -> tuple[Coriolis, GuardedCall | None]:
+        """See :meth:`multiarm.arms.backends.ArmBackends.coriolis`; the matrices are of blocks."""
+        coriolis, call = self._backends.coriolis(self.arrays.status)
+        nowhere = np.zeros(width(MatrixAddress), dtype=np.int64)
+        robots = [*coriolis.matrices, nowhere]
+        of_blocks = [
+            matrix_of_block(robots[robot], first) for robot, first in layout.places_of_blocks
+        ]
+        return Coriolis(coriolis.calls, np.array(of_blocks, dtype=np.int64)), call
 
 
 class RowData(NamedTuple):
@@ -451,8 +456,8 @@ class Data:
     # --- Coriolis -------------------------------------------------------------------------------
 
     def coriolis(self) -> Coriolis:
-        """The arms' Coriolis matrices, and the functions that update them."""
-        coriolis, callback = self.shared.coriolis()
+        """The Coriolis matrices of all blocks, and the functions that update them."""
+        coriolis, callback = self.shared.coriolis(self.model.layout)
         if callback is not None:
             self.callbacks["coriolis"] = callback
             self.shared.calls.add(callback)

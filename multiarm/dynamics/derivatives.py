@@ -128,11 +128,11 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
-        d0, of_arm = layout.first_joint[i], arm_columns(layout.joint_counts[i], 0)
+        d0, of_arm = layout.first_joint_of_block[i], arm_columns(layout.joint_counts[i], 0)
         places = [column_of_state(of_all, of_arm, d0, c) for c in range(of_arm.end)]
         turn[places] = angle[: of_arm.end]
-        if "placements" in columns and i < len(layout.names):
-            owners = np.flatnonzero(np.equal(layout.robot_of, i))
+        if "placements" in columns and i in layout.blocks_of_robots:
+            owners = np.flatnonzero(np.equal(layout.block_of, i))
             first, size = columns["placements"].start + 6 * owners[0], 6 * len(owners)
             turn[first : first + size] = angle[of_arm.end : of_arm.end + size]
     if not derivatives.motions.independent:
@@ -272,7 +272,7 @@ def _motions(
     )  # fmt: skip
     for i in range(layout.block_count):
         rows, n, m = layout.contacts_of_block(i), layout.joint_counts[i], layout.contact_counts[i]
-        at, first = layout.of_robot(i), arm_columns(n, 0).positions
+        at, first = layout.of_block(i), arm_columns(n, 0).positions
         inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
     return Motions(layout, inertia, closed, rates, by_position, independent)

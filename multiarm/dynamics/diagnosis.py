@@ -26,7 +26,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.dynamics.contact_geometry import joint_origin, joint_wrenches, wrenches_about
+from multiarm.dynamics.contact_geometry import (
+    joint_origin,
+    joint_wrenches,
+    robot_matrix,
+    wrenches_about,
+)
 from multiarm.dynamics.data import Evaluated
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factors import rank_of
@@ -106,9 +111,9 @@ def _of_combination(data: Evaluated, robot: str, forces: np.ndarray) -> str:
     """Words for a combination (N_i,) of the rows of a robot with several connections."""
     layout = data.model.layout
     i = layout.names.index(robot)
-    first, size = layout.contacts_of_block(i).start, float(np.linalg.norm(forces))
+    first, size = layout.contacts_of_robot(i).start, float(np.linalg.norm(forces))
     taking_part = {}
-    for c in layout.owners_of_block(i):
+    for c in layout.owners_of_robot(i):
         rows = layout.contacts_of(c)
         part = forces[rows.start - first : rows.stop - first]
         if np.linalg.norm(part) > ALIKE * size:
@@ -189,7 +194,7 @@ def _of_robot(data: Evaluated, robot: str) -> tuple[str, ...]:
     words = tuple(f"{name}: {text}" for name in names for text in _of_connection(data, name))
     together = _lost_together(data, robot)
     if together:
-        owners = data.model.layout.owners_of_block(data.model.arm_names.index(robot))
+        owners = data.model.layout.owners_of_robot(data.model.arm_names.index(robot))
         everybody = _together(data, (data.model.layout.owners[c] for c in owners))
         words += (f"{count_of(together, 'direction')} that {everybody} lose together",)
     return words
@@ -199,8 +204,8 @@ def _lost_together(data: Evaluated, robot: str) -> int:
     """Directions that a robot's connections and joints' rows lose beside what each loses alone."""
     layout, parts, alone = data.model.layout, [], 0
     i = layout.names.index(robot)
-    d, first = layout.joints_of(i), layout.contacts_of_block(i).start
-    for c in layout.owners_of_block(i):
+    of_robot, first = robot_matrix(data, i), layout.contacts_of_robot(i).start
+    for c in layout.owners_of_robot(i):
         owner, rows = layout.owners[c], layout.contacts_of(c)
         if owner in data.model.connections:
             hold = _hold(data, owner)
@@ -208,8 +213,7 @@ def _lost_together(data: Evaluated, robot: str) -> int:
                 return 0
             torques = hold.torques
         else:
-            columns = slice(rows.start - first, rows.stop - first)
-            torques = data.work.W[i, : d.stop - d.start, columns]
+            torques = of_robot[:, rows.start - first : rows.stop - first]
         sizes = np.linalg.svd(torques, compute_uv=False)
         rank = rank_of(sizes, LITTLE)
         alone += torques.shape[1] - rank
@@ -263,8 +267,8 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
     layout, pair = data.model.layout, data.model.connections[connection]
     i, arm = layout.names.index(pair.robot), data.model.arms[pair.robot]
     d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))
-    first = layout.contacts_of_block(i).start
-    W = data.work.W[i, : d.stop - d.start, r.start - first : r.stop - first]
+    first = layout.contacts_of_robot(i).start
+    W = robot_matrix(data, i)[:, r.start - first : r.stop - first]
     place = joint_origin(data, connection)
     wrenches = wrenches_about(data, connection, place)
     if not (np.all(np.isfinite(wrenches)) and np.all(np.isfinite(W)) and np.any(wrenches)):

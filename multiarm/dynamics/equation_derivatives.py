@@ -19,10 +19,12 @@ those of their rates by the velocities, :math:`W_o^T, W^T`.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.arms.arm import Arm
 from multiarm.arms.chain import ChainJoint
 from multiarm.arms.derivatives import (
     DISPLACEMENT_WIDTH,
@@ -35,6 +37,7 @@ from multiarm.arms.derivatives import (
     write_link,
     write_motions,
 )
+from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
 from multiarm.contacts.table import JOINT, TANGENT, open_code, open_joint
@@ -55,7 +58,7 @@ from multiarm.dynamics.coordinates import (
     equation_columns,
 )
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.layout import TWIST
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
@@ -129,7 +132,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.rows.parts
     n, N = layout.block_count, layout.contacts
     d, m = max(layout.joint_counts), max(layout.contact_counts)
-    first_owner = np.searchsorted(layout.robot_of, range(n + 1))
+    first_owner = np.searchsorted(layout.block_of, range(n + 1))
     C = arm_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
     work = EquationWork(
         placements=placements,
@@ -165,6 +168,16 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     return work
 
 
+def structures_of_blocks(arms: Iterable[Arm], layout: Layout) -> list[ArmStructure]:
+    """Structure of the joints of each block of the robots."""
+    of_robots = [arm.structure() for arm in arms]
+    places, counts = layout.places_of_blocks, layout.joint_counts
+    return [
+        of_robots[robot].part(first, counts[i])
+        for i, (robot, first) in enumerate(places[: layout.blocks_of_robots.stop])
+    ]
+
+
 def equation_work(
     data: Data, columns: int, placements: int = -1, *, masses: bool = True, weights: bool = True
 ) -> tuple[EquationWork, np.ndarray]:
@@ -175,7 +188,7 @@ def equation_work(
     """
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
-        structures = [arm.structure() for arm in data.model.arms.values()]
+        structures = structures_of_blocks(data.model.arms.values(), data.model.layout)
         links = arm_links(structures, data.model.constants.gravity)
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))
@@ -339,8 +352,8 @@ def add_connection(i, owner, columns, model, data, system, links, work):
 def joint_that_moves(body, model):
     """The joint of its robot that moves a body of a connection, ``BASE`` or ``OBJECT``."""
     links = model.links
-    if body >= links.robot.size:
-        return OBJECT if body == links.robot.size else BASE
+    if body >= links.block.size:
+        return OBJECT if body == links.block.size else BASE
     length = links.length[body]
     return links.chain[body, length - 1] if length > 0 else BASE
 

@@ -156,7 +156,7 @@ def right_hand_sides(address, size, alpha, beta):
         status = command_torques(struct, model, data, work)
         if status == OK:
             status = call_effects(model.passive_end, model.actuator_end, struct, model, data)
-        power = add_torques(data, work)
+        power = add_torques(model, data)
     if status == OK:
         status = applied_forces(struct, model, data, power)
     if status != OK:
@@ -224,15 +224,15 @@ def control_torques(struct, laws, model, data):
 
 
 @inlined
-def add_torques(data, work):
-    r"""Add the control torques, changed by the actuators, to ``f_j``, and write the arms' powers.
+def add_torques(model, data):
+    r"""Add the control torques, changed by the actuators, to ``f_j``, and write the robots' powers.
 
-    That of an arm is :math:`P_i = \tau_i \cdot \dot q_i`; returns their sum [W].
+    That of a robot is :math:`P_i = \tau_i \cdot \dot q_i`; returns their sum [W].
     """
     total = 0.0
     for i in range(data.control.power.size):
         power = 0.0
-        for j in range(work.first_joint[i], work.first_joint[i + 1]):
+        for j in range(model.first_joint[i], model.first_joint[i + 1]):
             data.forces.f_j[j] += data.control.torque[j]
             power += data.control.torque[j] * data.state.joint_rates[j]
         data.control.power[i] = power
@@ -401,7 +401,7 @@ def write_general_rows(address, size, _a, _b):
     """Write the rows of all connections that are not in closed form, after those that are."""
     model, data, _ = open_system(struct_at(address, size))
     rows, contacts, motion = data.rows, model.contacts, data.bodies.motion
-    for c in range(model.connections.robot.size):
+    for c in range(model.connections.block.size):
         first, second = motion[model.connections.first[c]], motion[model.connections.second[c]]
         for k in range(rows.first[c], rows.first[c + 1]):
             if not is_in_closed_form(open_code(contacts.codes[k]).kind):

@@ -460,9 +460,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         position_residual=check.gap,
         velocity_residual=check.gap_rate,
         residuals=_residuals(check),
-        conditioning={
-            name: max(pivot, 0.0) for name, pivot in zip(layout.names, pivots, strict=False)
-        },
+        conditioning=_conditioning(layout, pivots),
         rank=b.solution.rank,
         coupled_arms=coupled,
         message=ambiguity_text(data) if check.solved else contradiction_text(data),
@@ -494,12 +492,22 @@ def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     return parts
 
 
+def _conditioning(layout: Layout, pivots: Sequence[float]) -> dict[str, float]:
+    """The least pivot of each robot, from those of the blocks; empty without."""
+    if not pivots:
+        return {}
+    return {
+        name: max(min(pivots[blocks.start : blocks.stop]), 0.0)
+        for name, blocks in layout.blocks_by_robot.items()
+    }
+
+
 def _coupled_arms(data: Data) -> tuple[str, ...]:
     """Arms that could not be eliminated as a whole in the last solution."""
     if not data.arrays.solution.coupled_arms:
         return ()
-    coupled = data.arrays.deficient.coupled
-    return tuple(name for name, is_so in zip(data.model.arm_names, coupled, strict=False) if is_so)
+    coupled, robots = data.arrays.deficient.coupled, data.model.layout.blocks_by_robot
+    return tuple(name for name, blocks in robots.items() if np.any(coupled[blocks]))
 
 
 def _lost_motions(snapshot: Snapshot, arms: Sequence[str]) -> dict[str, tuple[str, ...]]:

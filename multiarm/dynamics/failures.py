@@ -154,7 +154,7 @@ def ambiguity_text(data: Data) -> str:
     if data.arrays.solution.motion_unique:
         return ""
     owners = zip(data.model.blocks, data.arrays.deficient.undetermined, strict=True)
-    arms = ", ".join(owner for owner, undetermined in owners if undetermined)
+    arms = ", ".join(dict.fromkeys(owner for owner, undetermined in owners if undetermined))
     return (
         "friction leaves the motion open: other accelerations meet the equations, too, with other "
         f"contact forces of {arms}; these are those of the least contact forces"

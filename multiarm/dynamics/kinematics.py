@@ -114,7 +114,7 @@ def link_motion(addresses, gravity, body):
 def contact_rows(struct, model, data, work):
     """Contact kinematics of all rows; ``model, data, work`` are the views of ``struct``."""
     bodies, pairs, first, complete = data.bodies, model.connections, data.rows.first, True
-    for c in range(pairs.robot.size):
+    for c in range(pairs.block.size):
         complete &= write_rows_in_closed_form(
             first[c], first[c + 1], bodies.motion[pairs.first[c]], bodies.motion[pairs.second[c]],
             model.contacts, bodies.relative, data.rows.kinematics,
@@ -125,8 +125,8 @@ def contact_rows(struct, model, data, work):
 
 @inlined
 def constraint_matrices(model, data, work):
-    """Rows of ``W_o``, and ``W`` of every robot, from the kinematics of the contacts."""
-    for c in range(model.connections.robot.size):
+    """Rows of ``W_o``, and ``W`` of every block, from the kinematics of the contacts."""
+    for c in range(model.connections.block.size):
         if model.connections.serial[c]:
             rows_of_arm(c, model, data, work)
         else:
@@ -136,8 +136,8 @@ def constraint_matrices(model, data, work):
 
 @inlined
 def rows_of_arm(c, model, data, work):
-    """``W_o`` and ``W`` of a connection of a link that all joints of its robot move."""
-    i = model.connections.robot[c]
+    """``W_o`` and ``W`` of a connection of a link that all joints of its block move."""
+    i = model.connections.block[c]
     d = work.first_joint[i + 1] - work.first_joint[i]
     first = data.rows.first[c]
     m, before = data.rows.first[c + 1] - first, first - work.first_contact[i]
@@ -185,14 +185,14 @@ def rows_of_connection(c, model, data, work):
     pairs, links = model.connections, data.bodies.links.shape[0]
     first, second = pairs.first[c], pairs.second[c]
     for k in range(data.rows.first[c], data.rows.first[c + 1]):
-        column = k - work.first_contact[pairs.robot[c]]
+        column = k - work.first_contact[pairs.block[c]]
         if is_object(first, data) or is_object(second, data):
             x_o, row = open_body(data.bodies.object).origin, open_contact(data.rows.kinematics[k])
             write_object_row(row, x_o, data.rows.W_o[k])
         if is_object(first, data):
             for l in range(data.rows.W_o.shape[1]):
                 data.rows.W_o[k, l] *= -1.0
-        clear_column(pairs.robot[c], column, work)
+        clear_column(pairs.block[c], column, work)
         if first < links:
             add_link_column(first, k, column, -1.0, model, data, work)
         if second < links:
@@ -209,7 +209,7 @@ def clear_column(i, column, work):
 @inlined
 def add_link_column(link, k, column, sign, model, data, work):
     """Add what the force of row ``k``, times a sign, does on a link to a column of ``W``."""
-    i, row = model.links.robot[link], open_contact(data.rows.kinematics[k])
+    i, row = model.links.block[link], open_contact(data.rows.kinematics[k])
     d = work.first_joint[i + 1] - work.first_joint[i]
     J = floats_at(open_addresses(data.bodies.pointers[i]).jacobian, 6 * d)
     force = scale(sign, row.normal)
@@ -223,7 +223,7 @@ def add_link_column(link, k, column, sign, model, data, work):
 def write_four_columns(i, before, k, d, J, wrench, work):
     """Four columns of ``W``, contacts ``k`` to ``k + 3`` of one connection, in SIMD packs.
 
-    ``before`` is the number of contacts of the robot that stand before this connection's.
+    ``before`` is the number of contacts of the block that stand before this connection's.
     """
     N, W = wrench.shape[1], work.W
     w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
@@ -260,7 +260,7 @@ def write_joint_rows(model, data, work):
     """Rows that belong to joints: their gaps, and their columns of ``W``."""
     joint_rows = model.joint_rows
     for k in range(joint_rows.row.size):
-        i, row, joint = joint_rows.arm[k], joint_rows.row[k], joint_rows.joint[k]
+        i, row, joint = joint_rows.block[k], joint_rows.row[k], joint_rows.joint[k]
         geometry = open_joint(model.contacts.geometry[row])
         contact = open_contact(data.rows.kinematics[row])
         side, column = geometry.side, row - work.first_contact[i]
@@ -277,7 +277,7 @@ def write_joint_rows(model, data, work):
 
 @inlined
 def load_inertia(i, data, work):
-    """Copy the arm's inertia (lower triangle of the C-ordered view) into ``work.M``."""
+    """Copy a block's inertia (lower triangle of the C-ordered view) into ``work.M``."""
     d = work.first_joint[i + 1] - work.first_joint[i]
     addresses = open_addresses(data.bodies.pointers[i])
     stride = addresses.stride
@@ -288,7 +288,7 @@ def load_inertia(i, data, work):
 
 
 def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
-    """A copy of an arm's inertia, symmetric, shape (n, n); ``pointers`` of the arm."""
+    """A copy of a block's inertia, symmetric, shape (n, n); ``pointers`` of the block."""
     if n == 0:  # the surroundings
         return np.zeros((0, 0))
     addresses = TermAddresses(*pointers.tolist())

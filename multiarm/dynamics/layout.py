@@ -86,23 +86,28 @@ def column_of_velocity(columns, l):
 class Layout:
     """Where frames, joints and contacts are in stacked vectors.
 
-    Joints of robot ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``.  Rows of W have
-    *owners*: a connection of two bodies, a robot for the rows that belong to its joints (those of
-    an arm follow the contacts of its connection), and last the surroundings.  Rows of owner ``c``
-    are ``first_contact[c]`` to ``first_contact[c + 1]``; the owners of a robot stand together.
+    Joints of robot ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``.  The equations are
+    solved by *blocks*: ranges of a robot's joints that share neither inertia nor rows of W with
+    others, such as the fingers of a hand on a fixed base, and last the surroundings where they
+    have rows (:mod:`multiarm.assembly.blocks`).  Rows of W have *owners*: a connection of two
+    bodies, a robot for rows that belong to its joints (those of an arm, or of a finger with one
+    connection, follow the contacts of the connection), and last the surroundings.  Rows of owner
+    ``c`` are ``first_contact[c]`` to ``first_contact[c + 1]``; the owners of a block stand
+    together, and so do the blocks of a robot.
 
     Attributes
     ----------
     names : tuple of str
         The robots.
     first_joint : tuple of int
-        Last the number of all joints.  Where the surroundings have rows, they follow as a robot
-        without joints, so that the *blocks* of the equations are the robots and the surroundings.
+        Of the robots; last the number of all joints.
+    first_joint_of_block : tuple of int
+        Of the blocks; the surroundings have no joints; last the number of all joints.
     owners : tuple of str
         The owners of rows.
     first_contact : tuple of int
         Of the owners; last the number of all rows.
-    robot_of : tuple of int
+    block_of : tuple of int
         The block of each owner.
     frames : int
         Floating frames.
@@ -110,9 +115,10 @@ class Layout:
 
     names: tuple[str, ...]
     first_joint: tuple[int, ...]
+    first_joint_of_block: tuple[int, ...]
     owners: tuple[str, ...]
     first_contact: tuple[int, ...]
-    robot_of: tuple[int, ...]
+    block_of: tuple[int, ...]
     frames: int = 1
 
     def __str__(self) -> str:
@@ -158,17 +164,39 @@ class Layout:
     @property
     def owners_of_robots(self) -> tuple[str, ...]:
         """The owners of rows without the surroundings."""
-        return self.owners[: len(self.owners) - (self.block_count - len(self.names))]
+        return self.owners[: bisect_left(self.block_of, len(self.blocks_of_robots))]
 
     @property
     def block_count(self) -> int:
-        """Number of blocks: the robots, and the surroundings where they have rows."""
-        return len(self.first_joint) - 1
+        """Number of blocks: those of the robots, and the surroundings where they have rows."""
+        return len(self.first_joint_of_block) - 1
+
+    @cached_property
+    def robot_of_block(self) -> tuple[int, ...]:
+        """The robot of each block; for the surroundings the number of robots."""
+        firsts = self.first_joint_of_block[:-1]
+        return tuple(bisect_right(self.first_joint, first) - 1 for first in firsts)
+
+    @property
+    def places_of_blocks(self) -> list[tuple[int, int]]:
+        """Robot of each block, and number in this robot of the block's first joint."""
+        first_joints = zip(self.robot_of_block, self.first_joint_of_block, strict=False)
+        return [(robot, first - self.first_joint[robot]) for robot, first in first_joints]
+
+    @property
+    def splits_robots(self) -> bool:
+        """Whether some robot has several blocks."""
+        return len(self.blocks_of_robots) > len(self.names)
+
+    @property
+    def blocks_of_robots(self) -> range:
+        """The blocks without the surroundings."""
+        return range(bisect_left(self.robot_of_block, len(self.names)))
 
     @property
     def joint_counts(self) -> list[int]:
         """Number of joints of each block; the surroundings have none."""
-        return np.diff(self.first_joint).tolist()
+        return np.diff(self.first_joint_of_block).tolist()
 
     @property
     def contact_counts(self) -> list[int]:
@@ -178,12 +206,26 @@ class Layout:
     @cached_property
     def first_of_block(self) -> tuple[int, ...]:
         """First contact of each block; last the number of all."""
-        owners = np.searchsorted(self.robot_of, range(self.block_count + 1))
+        owners = np.searchsorted(self.block_of, range(self.block_count + 1))
         return tuple(self.first_contact[owner] for owner in owners)
 
     def joints_of(self, i: int) -> slice:
         """Joints of a robot among all joints."""
         return slice(self.first_joint[i], self.first_joint[i + 1])
+
+    def blocks_of(self, i: int) -> range:
+        """The blocks of a robot."""
+        robots = self.robot_of_block
+        return range(bisect_left(robots, i), bisect_right(robots, i))
+
+    @property
+    def blocks_by_robot(self) -> dict[str, range]:
+        """The blocks of each robot by its name."""
+        return {name: self.blocks_of(i) for i, name in enumerate(self.names)}
+
+    def joints_of_block(self, i: int) -> slice:
+        """Joints of a block among all joints."""
+        return slice(self.first_joint_of_block[i], self.first_joint_of_block[i + 1])
 
     def contacts_of(self, owner: int) -> slice:
         """Contacts of an owner among all contacts."""
@@ -195,11 +237,36 @@ class Layout:
 
     def owners_of_block(self, i: int) -> range:
         """The owners of the rows of a block."""
-        return range(bisect_left(self.robot_of, i), bisect_right(self.robot_of, i))
+        return range(bisect_left(self.block_of, i), bisect_right(self.block_of, i))
+
+    def contacts_of_robot(self, i: int) -> slice:
+        """Contacts of a robot among all contacts."""
+        blocks = self.blocks_of(i)
+        return slice(self.first_of_block[blocks.start], self.first_of_block[blocks.stop])
+
+    def owners_of_robot(self, i: int) -> range:
+        """The owners of the rows of a robot."""
+        blocks = self.blocks_of(i)
+        firsts = [bisect_left(self.block_of, block) for block in (blocks.start, blocks.stop)]
+        return range(*firsts)
 
     def robot_of_joint(self, joint: int) -> int:
         """Index of the robot that has a joint."""
         return bisect_right(self.first_joint, joint) - 1
+
+    def block_of_joint(self, joint: int) -> int:
+        """Index of the block that has a joint."""
+        return bisect_right(self.first_joint_of_block, joint) - 1
+
+    def chain_in_block(self, robot: int, chain: np.ndarray) -> tuple[int, np.ndarray]:
+        """The block of joints from the base to a link, and these counted from its first one.
+
+        ``chain`` counts them from the robot's first joint; a link of the base has none.
+        """
+        block = self.blocks_of(robot)[0]
+        if chain.size:
+            block = self.block_of_joint(self.first_joint[robot] + int(chain[0]))
+        return block, chain + self.first_joint[robot] - self.first_joint_of_block[block]
 
     def owner_of_contact(self, contact: int) -> int:
         """Index of the owner of a contact."""
@@ -252,6 +319,11 @@ class Layout:
     def of_robot(self, i: int) -> slice:
         """The joints of a robot in a velocity."""
         first, joints = TWIST * self.frames, self.joints_of(i)
+        return slice(first + joints.start, first + joints.stop)
+
+    def of_block(self, i: int) -> slice:
+        """The joints of a block in a velocity."""
+        first, joints = TWIST * self.frames, self.joints_of_block(i)
         return slice(first + joints.start, first + joints.stop)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:

@@ -75,7 +75,7 @@ class Model:
     constants: Constants  # for kernels
     effects: EffectProgram
     links: tuple[tuple[int, int], ...]  # arm and joint of every link that an effect acts on
-    levers: tuple[np.ndarray, ...]  # ``NodeWork.levers`` of each arm
+    levers: tuple[np.ndarray, ...]  # ``NodeWork.levers`` of each block
     # the compiled functions in ``Functions``; the lazy ones are compiled at their first call
     functions: Mapping[str, Kernel]
     lazy_functions: Mapping[str, Kernel]
@@ -133,12 +133,23 @@ class Model:
 
     @property
     def blocks(self) -> list[str]:
-        """Names of the blocks: the robots, and the surroundings where they have rows."""
-        return [*self.arm_names, SURROUNDINGS][: self.layout.block_count]
+        """The robot of each block by its name; ``floor`` for the surroundings."""
+        names = [*self.arm_names, SURROUNDINGS]
+        return [names[robot] for robot in self.layout.robot_of_block]
 
     def owner(self, row: int) -> tuple[str, Contact | JointRow]:
         """Owner and record of a row of W."""
         return self.layout.owners[self.layout.owner_of_contact(row)], self.records[row]
+
+    @cached_property
+    def contacts_of_object(self) -> tuple[int, ...]:
+        """Rows of the contacts of the object's connections."""
+        rows: list[int] = []
+        for name, connection in self.connections.items():
+            of_owner = self.layout.contacts_of(self.layout.owners.index(name))
+            if connection.of_object:
+                rows += range(of_owner.start, of_owner.stop)
+        return tuple(row for row in rows if isinstance(self.records[row], Contact))
 
     @property
     def object_number(self) -> int:
@@ -253,8 +264,8 @@ def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table."""
     of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
-    first_contact, first_joint = np.array(layout.first_of_block), np.array(layout.first_joint)
-    select_joint_rows(table.codes, first_contact, first_joint, joint_rows)
+    of_blocks = np.array(layout.first_of_block), np.array(layout.first_joint_of_block)
+    select_joint_rows(table.codes, *of_blocks, joint_rows)
     return {"contacts": table, "joint_rows": joint_rows}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -36,12 +36,12 @@ class Link(NamedTuple):
     # index in ``EffectVariables.link_poses`` of the address of its joint's pose: 12 numbers,
     # rotation by columns, origin
     number: int
-    # the arm's number; its row of ``Variables.pointers`` has the address of its Jacobian (columns
-    # of 6, world axes, about the world's origin)
-    arm: int
-    first: int  # the arm's first joint among all
-    # (d,) the joints that carry the link, of the arm's, counted from 0, from base to link
-    chain: np.ndarray
+    # the block of the equations that has the joints which move the link; its row of
+    # ``BodyVariables.pointers`` has the address of its Jacobian (columns of 6, world axes, about
+    # the world's origin)
+    block: int
+    first: int  # the block's first joint among all
+    chain: np.ndarray  # (d,) the joints that move the link, counted from it, from base to link
     # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
     rotation: np.ndarray
     translation: np.ndarray
@@ -83,14 +83,14 @@ class BuildContext:
     def link(self, arm: str, name: str) -> Link:
         """A link of an arm; its pose will be computed at every evaluation."""
         joint, rotation, translation = self.arms[arm].link(name)
-        carriers = [carrier - 1 for carrier in self.arms[arm].model.supports[joint] if carrier > 0]
-        number = self.layout.names.index(arm)
+        number, layout = self.layout.names.index(arm), self.layout
         self.links.append((number, joint))
+        block, chain = layout.chain_in_block(number, self.arms[arm].chain_of(joint))
         return Link(
             number=len(self.links) - 1,
-            arm=number,
-            first=self.layout.first_joint[number],
-            chain=np.array(carriers, dtype=np.int64),
+            block=block,
+            first=layout.first_joint_of_block[block],
+            chain=chain,
             rotation=rotation,
             translation=translation,
         )
@@ -194,4 +194,6 @@ def _user_kernels(name: str, spec: Any, context: BuildContext) -> list[EffectKer
         )
     for kernel in kernels:
         kernel.require_usable(who)
+    if context.layout.splits_robots:  # what is local in a robot need not be so in its blocks
+        kernels = [replace(kernel, local=False) for kernel in kernels]
     return kernels

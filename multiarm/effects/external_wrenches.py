@@ -66,10 +66,10 @@ class ExternalWrenches(NamedTuple):
     course: Ints1  # time dependence
     on_link: Ints1  # whether it acts on a link, else on the object
     in_body: Ints1  # whether its axes are those of the body, else of the world
-    # of one on a link: number of its pose, arm, the arm's first joint; the joints that carry it, of
-    # the arm's, counted from 0, (k, d), and how many they are
+    # of one on a link: number of its pose, block of the joints that move it, the block's first
+    # joint; (k, d) these joints, counted from the block's first, and how many they are
     link: Ints1
-    arm: Ints1
+    block: Ints1
     first_joint: Ints1
     chain: Ints2
     joints: Ints1
@@ -137,7 +137,7 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     about the world's origin.
     """
     first, chain = wrenches.first_joint[k], wrenches.chain[k]
-    addresses = open_addresses(data.bodies.pointers[wrenches.arm[k]])
+    addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
     J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     row, column = chart_places(data).joints + first, force_columns(data).positions + first
     for a in range(wrenches.joints[k]):
@@ -223,7 +223,7 @@ def apply_wrench(wrenches, k, lever, data):
         put(f_o, 3, add(vec(f_o, 3), m))
         return dot(f, body.velocity) + dot(m, body.spin)
     first, power = wrenches.first_joint[k], 0.0
-    addresses = open_addresses(data.bodies.pointers[wrenches.arm[k]])
+    addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
     J = floats_at(addresses.jacobian, 6 * columns_of_carriers(wrenches, k))
     for a in range(wrenches.joints[k]):
         j = wrenches.chain[k, a]
@@ -235,14 +235,14 @@ def apply_wrench(wrenches, k, lever, data):
 
 @inlined
 def columns_of_carriers(wrenches, k):
-    """How many columns of an arm's Jacobian there are up to the last joint that carries a link."""
+    """Number of columns of a block's Jacobian up to that of the last joint that carries a link."""
     joints = wrenches.joints[k]
     return wrenches.chain[k, joints - 1] + 1 if joints > 0 else 0
 
 
 def build(spec, context: BuildContext) -> list[EffectKernel]:
     """The kernel of external wrenches; their functions have been loaded."""
-    joints = max(arm.dof for arm in context.arms.values())
+    joints = max(context.layout.joint_counts)
     wrenches, breakpoints = _without_course(len(spec), joints), [np.zeros(0)]
     functions: dict[int, Callable] = {}
     for k, wrench in enumerate(spec):
@@ -294,7 +294,7 @@ def build(spec, context: BuildContext) -> list[EffectKernel]:
 def _without_course(count: int, joints: int) -> ExternalWrenches:
     """Arrays for a number of wrenches, all of them zero, and no table.
 
-    ``joints`` is the largest number of joints of an arm.
+    ``joints`` is the largest number of joints of a block.
     """
     widths = {"frame": 9, "point": 3, "size": 6, "wrench": 6}
     numbers = ("frequency", "phase", "begin", "end")
@@ -314,7 +314,7 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
     frame, point = np.eye(3), np.array(wrench.at)
     if wrench.target is not None:
         link = context.link(*wrench.target)
-        wrenches.on_link[k], wrenches.link[k], wrenches.arm[k] = 1, link.number, link.arm
+        wrenches.on_link[k], wrenches.link[k], wrenches.block[k] = 1, link.number, link.block
         wrenches.first_joint[k], wrenches.joints[k] = link.first, link.chain.size
         wrenches.chain[k, : link.chain.size] = link.chain
         frame, point = link.rotation, link.rotation @ point + link.translation

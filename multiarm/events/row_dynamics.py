@@ -75,8 +75,8 @@ class RowDynamics:
         """Rate of each row due to a unit force on it without held rows, shape (len(jacobian),)."""
         full = self.full
         bodies = [full.arrays.bodies.object_inertia]
-        for i, name in enumerate(full.model.arm_names):
-            bodies.append(read_inertia(full.arrays.bodies.pointers[i], full.model.arms[name].dof))
+        for i, joints in enumerate(full.model.layout.joint_counts):
+            bodies.append(read_inertia(full.arrays.bodies.pointers[i], joints))
         total, first = np.zeros(len(jacobian)), 0
         for inertia in bodies:
             columns = jacobian[:, first : first + len(inertia)].T

@@ -129,7 +129,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     if effects.local:
         state_joints = [joint for effect in effects.kernels for joint in effect.state_joints]
         for state, joint in enumerate(state_joints):
-            states_by_arm[layout.robot_of_joint(joint)].append(state)
+            states_by_arm[layout.block_of_joint(joint)].append(state)
     e = max(map(len, states_by_arm))
     of_arm, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
@@ -168,7 +168,7 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     at = block_columns(blocks)
     of_forces = columns_of_forces(layout.nv, layout.joints, effects.states)
     for i, states in enumerate(states_by_arm):
-        joints, columns = np.arange(layout.joints)[layout.joints_of(i)], blocks.sources[i]
+        joints, columns = np.arange(layout.joints)[layout.joints_of_block(i)], blocks.sources[i]
         blocks.states[i, : len(states)] = states
         columns[: joints.size] = of_forces.positions + joints
         columns[at.rates : at.rates + joints.size] = of_forces.rates + joints

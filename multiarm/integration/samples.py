@@ -39,18 +39,18 @@ def write_sample(struct, t, works, row):
     row[0] = t
     at = append(row, 1, state.object_pose)
     at = append(row, at, state.object_twist)
-    c, owners = 0, model.connections.robot
+    c, blocks = 0, model.connections.block
     for i in range(control.power.size):
-        first, last = work.first_joint[i], work.first_joint[i + 1]
+        first, last = model.first_joint[i], model.first_joint[i + 1]
         at = append(row, at, state.joint_positions[first:last])
         at = append(row, at, state.joint_rates[first:last])
         at = append(row, at, control.torque[first:last])
         if model.control.shape[0] > 0:
             at = append(row, at, control.power[i : i + 1])
-        while c < owners.size and owners[c] == i:
+        while c < blocks.size and work.first_joint[blocks[c]] < last:
             at = append_contacts(model, data, c, row, at)
             c += 1
-    while c < owners.size:  # those of no robot
+    while c < blocks.size:  # those of no robot
         at = append_contacts(model, data, c, row, at)
         c += 1
     last = works.size - 1

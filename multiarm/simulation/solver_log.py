@@ -31,12 +31,12 @@ class SolverLog:
 
     def __init__(self, data: Data, log: EventLog) -> None:
         self._log, self._added = log, 0
-        self._lost = np.zeros(len(data.model.arm_names), dtype=np.int64)
+        self._lost = np.zeros(len(data.model.layout.blocks_of_robots), dtype=np.int64)
         self._rank = data.arrays.last_step.solution.rank
 
     def collect(self, data: Data, t: float, state: State) -> None:
         """Log the changes in the step that ended at ``t``, in this state."""
-        step, count = data.arrays.last_step, len(data.model.arm_names)
+        step, count = data.arrays.last_step, len(data.model.layout.blocks_of_robots)
         lost, passed = step.lost_directions[:count].copy(), step.sign_changes[:count].copy()
         rank = step.solution.rank
         events = self._of_rank(float(t), rank)
@@ -48,9 +48,9 @@ class SolverLog:
                 # a callback that fails here ends the run at the next step
                 in_words = update_kinematics(data.struct) == OK
             altered = changed[lost[changed] != self._lost[changed]] if in_words else []
-            words = lost_motions(data, [data.model.arm_names[i] for i in altered])
+            words = lost_motions(data, [data.model.blocks[i] for i in altered])
             for i in map(int, changed):
-                arm = data.model.arm_names[i]
+                arm = data.model.blocks[i]
                 if lost[i] != self._lost[i]:
                     what = words.get(arm, ())
                     events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
@@ -88,10 +88,13 @@ def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -
 
 
 def _nearest(data: Data, i: int) -> str:
-    """Text for the direction in which an arm moves least."""
+    """Text for the direction in which a block moves least."""
     work, layout = data.work, data.model.layout
     d, m = layout.joint_counts[i], layout.contact_counts[i]
     inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
-    return "; ".join(describe(data, data.model.arm_names[i], directions[-1:].T))
+    rows, of_block = layout.contacts_of_robot(layout.robot_of_block[i]), layout.contacts_of_block(i)
+    of_robot = np.zeros((rows.stop - rows.start, 1))
+    of_robot[of_block.start - rows.start : of_block.stop - rows.start, 0] = directions[-1]
+    return "; ".join(describe(data, data.model.blocks[i], of_robot))

@@ -15,7 +15,7 @@ from repository import ROOT
 
 BENCHMARKS = ROOT / "benchmarks"
 TABLES = (
-    "evaluations", "efficiency", "contact_rows", "peer_trials", "drake_peer",
+    "evaluations", "hands", "efficiency", "contact_rows", "peer_trials", "drake_peer",
 )  # fmt: skip
 
 

@@ -90,7 +90,9 @@ def test_the_largest_of_numbers_with_a_nan_is_nan(at):
 @pytest.mark.parametrize("at", [0, 7, 15])
 def test_a_step_with_a_nan_has_no_error_estimate(at):
     step = make_step(
-        DOPRI5, Layout(("arm",), (0, 2), ("arm",), (0, 0), (0,)), np.zeros(0, dtype=np.int64)
+        DOPRI5,
+        Layout(("arm",), (0, 2), (0, 2), ("arm",), (0, 0), (0,)),
+        np.zeros(0, dtype=np.int64),
     )
     step.k[:] = 1.0
     step.k[3, at] = math.nan

@@ -141,6 +141,23 @@ def random_tree(
     path.write_text(f"<robot name='{path.stem}'>\n{text}</robot>\n")
 
 
+def random_hand(rng: np.random.Generator, path: Path, fingers: list[int], copies: bool) -> None:
+    """Write a URDF of a palm ``link_0`` with chains of so many joints.
+
+    With ``copies`` the first joint of the last finger copies one of a finger before it.
+    """
+    text, k = _link_text(rng, "link_0"), 0
+    for finger, joints in enumerate(fingers):
+        for j in range(joints):
+            k += 1
+            mimic = ""
+            if copies and finger == len(fingers) - 1 and j == 0:
+                mimic = f"<mimic joint='joint_{rng.integers(1, k)}' multiplier='0.8' offset='0.1'/>"
+            text += _link_text(rng, f"link_{k}")
+            text += _joint_text(rng, k, k - 1 if j else 0, mimic)
+    path.write_text(f"<robot name='{path.stem}'>\n{text}</robot>\n")
+
+
 def _leaves(path: Path) -> list[str]:
     """Links of a random tree that no joint leaves, then the others that joints move."""
     model = pin.buildModelFromUrdf(str(path))
@@ -401,6 +418,26 @@ def inner_loops(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     return {"object": _object(rng), "robots": {"linkage": robot}, "joints": joints}
 
 
+def hands(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Two hands whose fingers share no joint; some are connected with each other or coupled."""
+    robots, joints = {}, []
+    for k, copies in enumerate((False, bool(rng.random() < 0.5))):
+        fingers, path = rng.integers(2, 5, rng.integers(2, 5)).tolist(), folder / f"hand_{k}.urdf"
+        random_hand(rng, path, fingers, copies)
+        ends = np.cumsum(fingers)
+        robots[f"hand_{k}"] = {
+            "urdf": str(path),
+            "base": pose_of(random_pose(rng, 0.5)),
+            "tips": {f"tip_{finger}": f"link_{end}" for finger, end in enumerate(ends)},
+        }
+    joints = [{"arm": tip, **random_kind(rng, 3)} for tip in holds(robots)]
+    if rng.random() < 0.5:
+        first, second = rng.choice(list(robots["hand_0"]["tips"]), 2, replace=False)
+        pair = [f"hand_0/{first}", f"hand_0/{second}"]
+        joints.append({"between": pair, **random_kind(rng, 2)})
+    return {"object": _object(rng), "robots": robots, "joints": joints}
+
+
 def mimic_joints(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     """Couplings of a file, couplings of the scene, and locked joints."""
     robots = {
@@ -430,7 +467,8 @@ def real_robots(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
 FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
     family.__name__: family
     for family in (
-        arms_only, several_tips, moving_bases, surroundings, inner_loops, mimic_joints, real_robots,
+        arms_only, several_tips, moving_bases, surroundings, inner_loops, mimic_joints, hands,
+        real_robots,
     )
 }  # fmt: skip
 
