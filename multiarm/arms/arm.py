@@ -395,7 +395,7 @@ def _moving_base(files: ArmFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE
         return model, 0, base
     added = pin.Inertia(files.base_mass, np.zeros(3), files.base_inertia)
     model.appendBodyToJoint(carrier, added, _IDENTITY)
-    foot = pin.Frame("base", carrier, 0, _IDENTITY, pin.FrameType.OP_FRAME)
+    foot = pin.Frame("moving base", carrier, 0, _IDENTITY, pin.FrameType.OP_FRAME)
     return model, model.addFrame(foot), _IDENTITY
 
 

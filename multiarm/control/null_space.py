@@ -1,13 +1,13 @@
-r"""Null-space control: an arm holds its pose on the object in the free motions of its joint.
+r"""Null-space control: a robot holds its poses on the object in the free motions of its joints.
 
-Frictionless fingertips slide and hinges turn; only the arm itself can keep them in place.  The
-joint frame on the arm follows the one on the object as if on springs: with the displacement
-:math:`x` and the rotation vector :math:`\theta` from the object's frame to the arm's
+Frictionless fingertips slide and hinges turn; only the robot itself can keep them in place.  The
+joint frame on its link follows the one on the object as if on springs: with the displacement
+:math:`x` and the rotation vector :math:`\theta` from the object's frame to the link's
 (:mod:`multiarm.contacts.joint`), in axes of the object's joint frame,
 
 .. math:: \ddot x = -k x - \delta \dot x, \qquad \dot\omega = -k\,\theta - \delta\,\omega .
 
-With the object's acceleration this is the acceleration of the joint frame on the arm
+With the object's acceleration this is the acceleration of the joint frame on the link
 
 .. math::
     a_M &= \dot v_o + \dot\omega_o \times j + \omega_o \times (\omega_o \times j)
@@ -15,7 +15,9 @@ With the object's acceleration this is the acceleration of the joint frame on th
     \dot\omega_M &= \dot\omega_o + \omega_o \times R_J\omega + R_J\dot\omega
 
 (thesis, 3.6; ``j`` from the object's centre of mass to the frame).  The joint accelerations are
-those with this property that are nearest to the preferred ones in the metric of the inertia.
+those with this property at all tips that hold the object, nearest to the preferred ones in the
+metric of the inertia.  Connections of a robot with the world, its inner loops and couplings are
+obeyed; nothing draws back what they leave free.
 """
 
 from __future__ import annotations
@@ -25,10 +27,12 @@ import math
 import numpy as np
 
 from multiarm.arms.terms import open_addresses
-from multiarm.contacts.joint import open_frames, write_relative
+from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import open_body
+from multiarm.contacts.table import JOINT, open_code
+from multiarm.dynamics.kinematics import is_object, write_connection_motion
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
-from multiarm.jit.kernels import allocating, copy
+from multiarm.jit.kernels import allocating, clear, copy, inlined, kernel
 from multiarm.jit.structs import floats_at
 from multiarm.jit.vectors import (
     add,
@@ -96,40 +100,93 @@ def nearest_accelerations(inertia, W, preferred, target, result, multipliers):
     return rank == m
 
 
-@allocating
-def hold_pose(
-    i, stiffness, rate, feedforward, acceleration, model, data, work, preferred, multipliers
-):
-    """Change the preferred accelerations (n,) of arm ``i`` to those that hold its pose.
+@inlined
+def holds_pose(c, i, model, data):
+    """Whether owner ``c`` of rows connects a link of robot ``i`` with the object."""
+    pairs = model.connections
+    moves = pairs.first[c] < data.bodies.links.shape[0]
+    return pairs.robot[c] == i and moves and is_object(pairs.second[c], data)
 
-    Returns whether the arm can hold any pose.
+
+@kernel
+def count_held(i, model, data):
+    """Number of connections of robot ``i`` with the object."""
+    held = 0
+    for c in range(model.connections.robot.size):
+        if holds_pose(c, i, model, data):
+            held += 1
+    return held
+
+
+@allocating
+def hold_poses(i, law, command, feedforward, model, data, work):
+    """Change the preferred accelerations of robot ``i`` to those that hold all its poses.
+
+    Among those that its other rows allow, if it has any.  Returns whether the conditions are
+    independent, and have derivatives in closed form: where there are no other rows.
 
     Parameters
     ----------
-    stiffness, rate : float
-        ``k`` [1/s^2] and ``delta`` [1/s].
+    law : view of ObjectLaw
+        ``k`` [1/s^2] and ``delta`` [1/s] are those of the free motions.
+    command : view of ObjectCommand
+        ``preferred`` is changed; ``held`` gets the multipliers of the held connections, world axes.
     feedforward : bool
         Of the object's acceleration and of all velocity terms; else the accelerations are those of
         the springs and dampers alone.
-    acceleration : (6,)
-        Of the object.
-    multipliers : (6,), written
-        Of the nearest accelerations, in world axes.
     """
-    n = work.first_joint[i + 1] - work.first_joint[i]
-    bodies, frames = data.bodies, open_frames(model.joint_frames[i])
-    link, body = open_body(bodies.links[i]), open_body(bodies.object)
-    rates, places, target = np.empty(6), np.empty(9), np.empty(6)
-    write_relative(model.joint_frames[i], bodies.links[i], bodies.object, rates, places)
+    d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
+    first, end = work.first_contact[i], work.first_contact[i + 1]
+    held = 6 * count_held(i, model, data)
+    if held == 0:
+        return True
+    preferred, result = command.preferred[d0 : d0 + n], np.empty(n)
+    W, target = np.empty((n, held + end - first)), np.empty(held + end - first)
+    m = 0
+    for c in range(model.connections.robot.size):
+        if holds_pose(c, i, model, data):
+            write_pose_target(c, law, command.acceleration, feedforward, model, data, target[m:])
+            write_frame_jacobian(c, n, model, data, W, m)
+            m += 6
+    for c in range(model.connections.robot.size):
+        for k in range(data.rows.first[c], data.rows.first[c + 1]):
+            kind = open_code(model.contacts.codes[k]).kind
+            if model.connections.robot[c] != i or (holds_pose(c, i, model, data) and kind != JOINT):
+                continue
+            target[m] = command.target[k]
+            for j in range(n):
+                W[j, m] = work.W[i, j, k - first]
+            m += 1
+    multipliers = np.empty(m)
+    independent = nearest_accelerations(work.M[i], W, preferred, target[:m], result, multipliers)
+    copy(result, preferred)
+    at = 0
+    for c in range(model.connections.robot.size):
+        if holds_pose(c, i, model, data):
+            copy(multipliers[at : at + 6], command.held[c])
+            at += 6
+    return independent and m == held
+
+
+@allocating
+def write_pose_target(c, law, acceleration, feedforward, model, data, target):
+    """Write the acceleration that the joint frame of connection ``c`` is to have on its link (6,).
+
+    World axes, less that of the link without joint accelerations.  The object has ``acceleration``.
+    """
+    bodies, frames = data.bodies, open_frames(model.joint_frames[c])
+    first, stiffness, rate = model.connections.first[c], law.free_stiffness, law.free_rate
+    link, body = open_body(bodies.motion[first]), open_body(bodies.object)
+    rates, places = np.empty(6), np.empty(9)
+    write_connection_motion(model, data, c, rates, places)
     R_J = compose(body.rotation, frames.on_object)
     shift_rate, turn_rate = rotate(R_J, vec(rates, 0)), rotate(R_J, vec(rates, 3))
     shift, turn = rotate(R_J, vec(places, 0)), rotate(R_J, vec(places, 3))
     a = add_scaled(scale(-stiffness, shift), -rate, shift_rate)
     alpha = add_scaled(scale(-stiffness, turn), -rate, turn_rate)
-    m = rotate(link.rotation, frames.origin_on_link)
-    p = add(link.origin, m)
     if feedforward:
-        j, omega = sub(p, body.origin), body.spin
+        m = rotate(link.rotation, frames.origin_on_link)
+        j, omega = sub(add(link.origin, m), body.origin), body.spin
         a_o, alpha_o = vec(acceleration, 0), vec(acceleration, 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
@@ -141,12 +198,22 @@ def hold_pose(
         alpha = sub(alpha, alpha_m)
     put(target, 0, a)
     put(target, 3, alpha)
-    J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * n)
-    W, result = np.empty((n, 6)), np.empty(n)
-    for column in range(n):  # Pinocchio's Jacobian is about the world's origin
-        v, w = vec(J, 6 * column), vec(J, 6 * column + 3)
-        put(W[column], 0, add_cross(v, w, p))
-        put(W[column], 3, w)
-    holds = nearest_accelerations(work.M[i], W, preferred, target, result, multipliers)
-    copy(result, preferred)
-    return holds
+
+
+@kernel
+def write_frame_jacobian(c, n, model, data, W, m):
+    """Write the Jacobian of the joint frame of connection ``c`` on its link into ``W[:, m:m + 6]``.
+
+    Transposed, (n, 6).
+    """
+    first, frames = model.connections.first[c], open_frames(model.joint_frames[c])
+    link = open_body(data.bodies.motion[first])
+    p = add(link.origin, rotate(link.rotation, frames.origin_on_link))
+    J = floats_at(open_addresses(data.bodies.pointers[model.links.robot[first]]).jacobian, 6 * n)
+    for j in range(n):
+        clear(W[j, m : m + 6])
+    for l in range(model.links.length[first]):
+        j = model.links.chain[first, l]
+        v, w = vec(J, 6 * j), vec(J, 6 * j + 3)  # Pinocchio's Jacobian is about the world's origin
+        put(W[j], m, add_cross(v, w, p))
+        put(W[j], m + 3, w)

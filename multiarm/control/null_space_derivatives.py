@@ -1,25 +1,27 @@
-r"""Derivatives of the accelerations that hold an arm's pose (:mod:`multiarm.control.null_space`).
+r"""Derivatives of the accelerations that hold poses (:mod:`multiarm.control.null_space`).
 
-Seen from the object, and in its axes (:mod:`multiarm.dynamics.contact_derivatives`), the link has
-the pose, the velocity :math:`(V, \Omega)` and, with the joint accelerations p that hold the arm,
-the acceleration :math:`(A, \Omega')`.  The joint frame, m from the link's origin, obeys
+Seen from the object, and in its axes (:mod:`multiarm.dynamics.contact_derivatives`), a link that
+holds it has the pose, the velocity :math:`(V, \Omega)` and, with the joint accelerations p that
+hold the robot, the acceleration :math:`(A, \Omega')`.  Its joint frame, m from the link's origin,
+obeys
 
 .. math::
     e = \begin{bmatrix} A + \Omega'\times m + \Omega\times(\Omega\times m)
     + \delta\,(V + \Omega\times m) + k x \\ \Omega' + \delta\,\Omega + k\,\theta
     \end{bmatrix} = 0 ,
 
-without feedforward with A and :math:`\Omega'` of an arm at rest at an object at rest.  Of such
-accelerations p are the nearest to :math:`p_0 = -\delta\dot q`, so that with
-:math:`J = \partial e / \partial p`, and the multipliers :math:`\kappa` in axes of the object,
+without feedforward with A and :math:`\Omega'` of a robot at rest at an object at rest.  Of such
+accelerations p, at all links that hold the object, are the nearest to
+:math:`p_0 = -\delta\dot q`, so that with :math:`J = \partial e / \partial p`, and the multipliers
+:math:`\kappa` in axes of the object,
 
 .. math::
     \begin{bmatrix} M & -J^T \\ J & 0 \end{bmatrix} \begin{bmatrix} dp \\ d\kappa \end{bmatrix}
     = \begin{bmatrix} M\,dp_0 - \partial\big(M (p - p_0) - J^T\kappa\big) \\
     -\partial e \end{bmatrix} .
 
-:math:`M (p - p_0) - J^T\kappa` are the torques of an arm at rest but for these accelerations, with
-the wrench :math:`\kappa` on its link at the joint frame.
+:math:`M (p - p_0) - J^T\kappa` are the torques of a robot at rest but for these accelerations, with
+the wrenches :math:`\kappa` on its links at the joint frames.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ from multiarm.arms.derivatives import (
 )
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import motion_relative_to, open_body
+from multiarm.control.null_space import count_held, holds_pose
 from multiarm.dynamics.contact_derivatives import (
     OBJECT,
     OF_SEEN,
@@ -45,6 +48,7 @@ from multiarm.dynamics.contact_derivatives import (
 from multiarm.dynamics.coordinates import arm_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
+    joint_that_moves,
     open_equations,
     open_links,
     write_connected_body,
@@ -71,44 +75,41 @@ from multiarm.spatial import write_chart_rate
 
 
 @allocating
-def differentiate_hold(i, law, command, feedforward, model, data, work, derivatives):
-    """Write the derivatives of the accelerations that hold arm i into ``derivatives.preferred``.
+def differentiate_holds(i, law, command, feedforward, model, data, work, derivatives):
+    """Write the derivatives of the accelerations that hold the poses of robot i.
 
-    ``derivatives`` as in :mod:`multiarm.control.command_derivatives`.  Returns a status.
+    Into ``derivatives.preferred``; ``derivatives`` as in
+    :mod:`multiarm.control.command_derivatives`.  Returns a status.
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-    of_arm, frame = arm_columns(n, 0), model.joint_frames[i]
-    arm = open_equations(derivatives.excess)
-    M, held = open_equations(derivatives.motion).M[i], command.preferred
-    K, X = np.zeros((n + 6, n + 6)), np.zeros((n + 6, of_arm.end))
-    pivots, turn_rate = np.zeros(n + 6, dtype=np.int64), np.empty(3)
+    size = n + 6 * count_held(i, model, data)
+    of_arm, arm = arm_columns(n, 0), open_equations(derivatives.excess)
+    M, preferred = open_equations(derivatives.motion).M[i], command.preferred
+    K, X = np.zeros((size, size)), np.zeros((size, of_arm.end))
+    pivots = np.zeros(size, dtype=np.int64)
     for j in range(n):
         damped = -law.free_rate * data.state.joint_rates[d0 + j]
-        arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, held[d0 + j] - damped
+        arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, preferred[d0 + j] - damped
         for k in range(n):
             K[j, k] = M[j, k]
             X[j, of_arm.rates + k] = -law.free_rate * M[j, k]
     write_object(data, AT_REST, AT_REST, arm)
-    write_arm(i, data, derivatives)
-    subtract_torque_slopes(i, of_arm, frame, command.held[i], derivatives, X)
+    subtract_torque_slopes(i, of_arm, command, model, data, derivatives, X)
     for j in range(n):
-        arm.a_j[d0 + j] = held[d0 + j]
+        arm.a_j[d0 + j] = preferred[d0 + j]
     if not feedforward:
-        write_arm(i, data, derivatives)
-        subtract_slopes(of_arm, frame, 1.0, 0.0, 0.0, turn_rate, derivatives, X[n:])
+        subtract_slopes(i, of_arm, 1.0, 0.0, 0.0, model, data, derivatives, X)
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
     write_object(data, data.state.object_twist, command.acceleration, arm)
-    write_arm(i, data, derivatives)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
-        of_arm, frame, of_acceleration, law.free_rate, law.free_stiffness, turn_rate, derivatives,
-        X[n:],
-    )  # fmt: skip
-    write_jacobian(n, frame, arm, K)
-    if not factor_lu(K, n + 6, pivots) > 0.0:
+        i, of_arm, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X
+    )
+    write_jacobians(i, n, model, data, derivatives, K)
+    if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR
-    solve_rows(K, n + 6, pivots, X)
+    solve_rows(K, size, pivots, X)
     for j in range(n):
         for c in range(of_arm.end):
             derivatives.preferred[j, c] = X[j, c]
@@ -116,41 +117,63 @@ def differentiate_hold(i, law, command, feedforward, model, data, work, derivati
 
 
 @kernel
-def write_arm(i, data, derivatives):
-    """Write the motion of an arm's links, and that of the last one as the object sees it."""
+def write_links(i, data, derivatives):
+    """Write the motion of a robot's links with the rates and accelerations in the work."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    last = links.first[i + 1] - links.first[i] - 1
     write_motions(links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links)
-    write_connected_body(i, last, links, arm, arm.first_body, arm.first_moved)
+
+
+@kernel
+def write_held(i, link, derivatives):
+    """Write the motion of a link that holds the object, and how the object sees it.
+
+    ``link`` is the joint that moves it; after :func:`write_links`.
+    """
+    links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
+    write_connected_body(i, link, links, arm, arm.first_body, arm.first_moved)
     write_connected_body(i, OBJECT, links, arm, arm.second_body, arm.second_moved)
     seen = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     write_seen_motion(arm.first_body, arm.second_body, seen, arm.scratch[SEEN])
 
 
 @kernel
-def subtract_torque_slopes(i, of_arm, frame, multipliers, derivatives, X):
-    """Subtract the derivatives of ``M (p - p_0) - J^T kappa`` from the rows of the joints.
-
-    ``multipliers`` (6,) in world axes.
-    """
+def subtract_torque_slopes(i, of_arm, command, model, data, derivatives, X):
+    """Subtract the derivatives of ``M (p - p_0) - J^T kappa`` from the rows of the joints."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
     n = of_arm.rates - of_arm.positions
-    bodies = n - 1, OBJECT
-    relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
-    R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
-    force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
-    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_first[of_arm.end])
-    subtract_load(n - 1, arm.on_first[of_arm.end], arm.links)
+    write_links(i, data, derivatives)
+    for c in range(model.connections.robot.size):
+        if holds_pose(c, i, model, data):
+            link = joint_that_moves(model.connections.first[c], model)
+            write_held(i, link, derivatives)
+            frame, multipliers = model.joint_frames[c], command.held[c]
+            subtract_wrench_slopes(i, link, of_arm, frame, multipliers, derivatives, X)
     write_inverse_dynamics(links, i, arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
             X[j, of_arm.positions + k] -= arm.by_q[j, k]
+
+
+@kernel
+def subtract_wrench_slopes(i, link, of_arm, frame, multipliers, derivatives, X):
+    """Subtract the derivatives of ``-J^T kappa`` of a link whose wrench stays in the object's axes.
+
+    Its change with the link, on which it is a load, is that of the inverse dynamics;
+    ``multipliers`` (6,) in world axes.
+    """
+    links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
+    bodies = link, OBJECT
+    relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
+    R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
+    force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
+    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_first[of_arm.end])
+    subtract_load(link, arm.on_first[of_arm.end], arm.links)
     for c in range(of_arm.rates):
         write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
         put_wrench(frame, opposite[0], opposite[1], arm.on_first[c])
-        subtract_torques(links, i, n - 1, arm.on_first[c], arm.links, X, c)
+        subtract_torques(links, i, link, arm.on_first[c], arm.links, X, c)
 
 
 @kernel
@@ -161,12 +184,30 @@ def put_wrench(frame, force, moment, out):
 
 
 @kernel
-def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, derivatives, X):
-    """Subtract the derivatives of e, its accelerations times ``of_acceleration``, from its rows.
+def subtract_slopes(i, of_arm, of_acceleration, rate, stiffness, model, data, derivatives, X):
+    """Subtract the derivatives of e of all held connections from their rows, after the joints'.
 
-    ``turn_rate`` (3,) is scratch.
+    Accelerations are multiplied by ``of_acceleration``.
     """
-    arm, frames = open_equations(derivatives.excess), open_frames(frame)
+    at = of_arm.rates - of_arm.positions
+    write_links(i, data, derivatives)
+    for c in range(model.connections.robot.size):
+        if holds_pose(c, i, model, data):
+            link = joint_that_moves(model.connections.first[c], model)
+            write_held(i, link, derivatives)
+            subtract_slopes_of(
+                link, of_arm, model.joint_frames[c], of_acceleration, rate, stiffness,
+                derivatives, X[at : at + 6],
+            )  # fmt: skip
+            at += 6
+
+
+@allocating
+def subtract_slopes_of(link, of_arm, frame, of_acceleration, rate, stiffness, derivatives, X):
+    """Subtract the derivatives of e of one connection from its rows ``X`` (6, C)."""
+    arm, frames, turn_rate = (
+        open_equations(derivatives.excess), open_frames(frame), np.empty(3)
+    )  # fmt: skip
     commanded = derivatives.acceleration
     seen, displacement = open_body(arm.scratch[SEEN]), open_displacement(arm.scratch[OF_SEEN])
     R_o, R, w, w_rate = (
@@ -179,7 +220,7 @@ def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, 
     turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
     theta = rotate(G, rotation_vector(turned))
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
-    bodies = of_arm.rates - of_arm.positions - 1, OBJECT
+    bodies = link, OBJECT
     for c in range(of_arm.end):
         write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
@@ -203,14 +244,21 @@ def subtract_slopes(of_arm, frame, of_acceleration, rate, stiffness, turn_rate, 
 
 
 @kernel
-def write_jacobian(n, frame, arm, K):
-    """Write J, and ``-J^T`` beside the inertia."""
-    R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
-    m = rotate(R, open_frames(frame).origin_on_link)
-    for j in range(n):
-        displacement = open_displacement(arm.first_moved[n + j])
-        turn = rotate_back(R_o, displacement.spin)
-        slide = add_cross(rotate_back(R_o, displacement.velocity), turn, m)
-        for k in range(3):
-            K[n + k, j], K[n + 3 + k, j] = slide[k], turn[k]
-            K[j, n + k], K[j, n + 3 + k] = -slide[k], -turn[k]
+def write_jacobians(i, n, model, data, derivatives, K):
+    """Write J of all held connections, and ``-J^T`` beside the inertia."""
+    arm, at = open_equations(derivatives.excess), n
+    write_links(i, data, derivatives)
+    for c in range(model.connections.robot.size):
+        if not holds_pose(c, i, model, data):
+            continue
+        write_held(i, joint_that_moves(model.connections.first[c], model), derivatives)
+        R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
+        m = rotate(R, open_frames(model.joint_frames[c]).origin_on_link)
+        for j in range(n):
+            displacement = open_displacement(arm.first_moved[n + j])
+            turn = rotate_back(R_o, displacement.spin)
+            slide = add_cross(rotate_back(R_o, displacement.velocity), turn, m)
+            for k in range(3):
+                K[at + k, j], K[at + 3 + k, j] = slide[k], turn[k]
+                K[j, at + k], K[j, at + 3 + k] = -slide[k], -turn[k]
+        at += 6

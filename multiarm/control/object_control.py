@@ -37,7 +37,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
-from multiarm.control.null_space import hold_pose, nearest_accelerations
+from multiarm.control.null_space import hold_poses, nearest_accelerations
 from multiarm.control.object_derivatives import (
     differentiate_command,
     write_computed_torque_derivatives,
@@ -78,7 +78,7 @@ def computed_torque(address, size, at, t):
         wrench[a] = -data.forces.f_o[a]
         for b in range(desired.size):
             wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
-    write_contact_forces(law, data, work)
+    write_contact_forces(law, data)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(control.torque.size):
         control.torque[j] -= data.forces.f_j[j]
@@ -101,7 +101,7 @@ def object_impedance(address, size, at, t):
     write_spring_wrench(t, law, state.object_pose, state.object_twist, wrench)
     for k in range(3):
         wrench[k] -= model.object_mass * model.gravity[k]
-    write_contact_forces(law, data, work)
+    write_contact_forces(law, data)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
@@ -141,13 +141,13 @@ def write_spring_wrench(t, law, position, velocity, wrench):
 
 
 @kernel
-def write_contact_forces(law, data, work):
+def write_contact_forces(law, data):
     """Distribute the wrench on the object over the contacts; writes ``data.rows.static_force``."""
     wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
         distribute_wrench(
-            wrench, rows.W_o, work.first_contact, data.bodies.object, law.forces_of_contacts,
-            law.wrenches_of_arms, rows.static_force,
+            wrench, rows.W_o, rows.first, data.bodies.object, law.forces_of_contacts,
+            law.wrenches_of_connections, rows.static_force,
         )  # fmt: skip
     else:
         static_forces(rows.W_o, wrench, rows.static_force)
@@ -155,9 +155,9 @@ def write_contact_forces(law, data, work):
 
 @kernel
 def add_motion_forces(law, command, feedforward, model, data, work):
-    """Add ``M q''`` of all arms with the targets of the command; free motions are damped or held.
+    """Add ``M q''`` of all robots with the targets of the command; free motions are damped or held.
 
-    ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
+    ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
     command.targets.independent = True
     for j in range(data.state.joint_rates.size):
@@ -165,10 +165,9 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     for i in range(data.control.power.size):  # the surroundings have no joints
         d0, d1 = work.first_joint[i], work.first_joint[i + 1]
         r0, r1 = work.first_contact[i], work.first_contact[i + 1]
-        holds = law.free_stiffness == 0.0 or hold_pose(
-            i, law.free_stiffness, law.free_rate, feedforward, command.acceleration, model,
-            data, work, command.preferred[d0:d1], command.held[i],
-        )  # fmt: skip
+        holds = law.free_stiffness == 0.0 or hold_poses(
+            i, law, command, feedforward, model, data, work
+        )
         independent = nearest_accelerations(
             work.M[i], work.W[i], command.preferred[d0:d1], command.target[r0:r1],
             command.a_j[d0:d1], command.multipliers[r0:r1],

@@ -10,7 +10,7 @@ reference, :math:`\exp\theta = R_r R_o^T`, a turn :math:`\delta` of the object g
 moment :math:`d(J_l^{-1}(\theta) K\theta) - D\,d\omega_o`, with :math:`J_l^{-1}` of
 :func:`multiarm.spatial.write_chart_rate`.
 
-The accelerations of arms that hold their poses: :mod:`multiarm.control.null_space_derivatives`.
+The accelerations of robots that hold their poses: :mod:`multiarm.control.null_space_derivatives`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from multiarm.control.command_derivatives import (
     open_derivatives,
     subtract_passive_slopes,
 )
-from multiarm.control.null_space_derivatives import differentiate_hold
+from multiarm.control.null_space_derivatives import differentiate_holds
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
@@ -108,11 +108,11 @@ def write_object_impedance_derivatives(address, size, at, t):
 def differentiate_torques(law, command, feedforward, struct, model, data, work, derivatives):
     """Add the derivatives of the torques, after those of the commanded motion; returns a status.
 
-    ``feedforward`` as in :func:`multiarm.control.null_space.hold_pose`.
+    ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
     motion, excess = open_equations(derivatives.motion), open_equations(derivatives.excess)
-    for i in range(law.wrenches_of_arms.shape[0]):
-        status = differentiate_press(i, law, struct, data, work, derivatives)
+    for c in range(law.wrenches_of_connections.shape[0]):
+        status = differentiate_press(c, law, struct, model, data, work, derivatives)
         if status != OK:
             return status
     for j in range(command.a_j.size):
@@ -128,7 +128,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
         if status == OK and law.free_stiffness > 0.0:
-            status = differentiate_hold(
+            status = differentiate_holds(
                 i, law, command, feedforward, model, data, work, derivatives
             )
         if status == OK:
@@ -147,7 +147,7 @@ def begin(law, command, data, work, derivatives):
     copy(data.control.object_wrench, derivatives.twist)
     for k in range(data.rows.W_o.shape[0]):
         subtract_wrench(data.rows.W_o[k], law.forces_of_contacts[k], derivatives.twist)
-    subtract_presses(law, data, work, derivatives.twist)
+    subtract_presses(law, data, derivatives.twist)
     return begin_command(data, derivatives)
 
 
@@ -159,12 +159,12 @@ def subtract_wrench(row, force, wrench):
 
 
 @allocating
-def subtract_presses(law, data, work, wrench):
-    """Subtract what the forces with which arms press put on the object."""
+def subtract_presses(law, data, wrench):
+    """Subtract what the forces with which connections press put on the object."""
     world, y = np.empty(6), np.empty(6)
-    for i in range(law.wrenches_of_arms.shape[0]):
-        if pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
-            W_o = data.rows.W_o[work.first_contact[i] : work.first_contact[i + 1]]
+    for c in range(law.wrenches_of_connections.shape[0]):
+        if pressing_wrench(data.bodies.object, law.wrenches_of_connections[c], world):
+            W_o = data.rows.W_o[data.rows.first[c] : data.rows.first[c + 1]]
             write_multipliers(W_o, world, y)
             for k in range(W_o.shape[0]):
                 subtract_wrench(W_o[k], force_of(W_o[k], y), wrench)
@@ -180,8 +180,8 @@ def force_of(row, y):
 
 
 @allocating
-def differentiate_press(i, law, struct, data, work, derivatives):
-    r"""Write the derivatives of the forces with which an arm presses; returns a status.
+def differentiate_press(owner, law, struct, model, data, work, derivatives):
+    r"""Write the derivatives of the forces with which a connection presses; returns a status.
 
     They are :math:`\lambda = W_o^+ w` of its contacts, :math:`\lambda = W_o^T y`, so that
     :math:`d\lambda = \partial(W_o^T y) + W_o^+ (dw - \partial(W_o\lambda)
@@ -189,9 +189,9 @@ def differentiate_press(i, law, struct, data, work, derivatives):
     """
     excess = open_equations(derivatives.excess)
     world, y, left = np.empty(6), np.empty(6), np.empty(6)
-    if not pressing_wrench(data.bodies.object, law.wrenches_of_arms[i], world):
+    if not pressing_wrench(data.bodies.object, law.wrenches_of_connections[owner], world):
         return OK
-    r0, r1 = work.first_contact[i], work.first_contact[i + 1]
+    r0, r1, i = data.rows.first[owner], data.rows.first[owner + 1], model.connections.robot[owner]
     W_o, d0 = data.rows.W_o[r0:r1], work.first_joint[i]
     write_multipliers(W_o, world, y)
     clear(excess.a_j)

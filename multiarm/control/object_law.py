@@ -26,7 +26,7 @@ class ObjectLaw(NamedTuple):
     squeezes: Flag  # whether there are internal forces
     # see multiarm.control.squeeze
     forces_of_contacts: Floats1  # (N,) [N]
-    wrenches_of_arms: Floats2  # (n, 6) object axes [N, N m]
+    wrenches_of_connections: Floats2  # (C, 6) object axes [N, N m]
     # see multiarm.control.object_path.PosePath
     times: Floats1
     positions: Floats2
@@ -35,10 +35,10 @@ class ObjectLaw(NamedTuple):
     turns: Floats2
 
 
-class ArmTargets(Numbers):
-    """What holds of the accelerations that are commanded to the arms."""
+class JointTargets(Numbers):
+    """What holds of the accelerations that are commanded to the joints."""
 
-    independent: Flag  # the targets of no arm depend on each other
+    independent: Flag  # the targets of no robot depend on each other, and have derivatives
 
 
 class ObjectCommand(NamedTuple):
@@ -49,8 +49,9 @@ class ObjectCommand(NamedTuple):
     a_j: Floats1  # (n,) the nearest ones that the joints allow
     target: Floats1  # (N,) of these: W^T q''
     multipliers: Floats1  # (N,) M (q'' - preferred) = W multipliers
-    held: Floats2  # (arms, 6) multipliers of the accelerations that hold poses, world axes
-    targets: ArmTargets
+    # (C, 6) of the accelerations that hold the poses of connections, world axes
+    held: Floats2
+    targets: JointTargets
     derivatives: PreparedDerivatives
 
     @classmethod
@@ -63,8 +64,8 @@ class ObjectCommand(NamedTuple):
             a_j=np.zeros(joints),
             target=np.zeros(contacts),
             multipliers=np.zeros(contacts),
-            held=np.zeros((len(data.model.arm_names), 6)),
-            targets=ArmTargets(),
+            held=np.zeros((len(data.model.layout.owners), 6)),
+            targets=JointTargets(),
             derivatives=PreparedDerivatives(),
         )
 

@@ -1,12 +1,14 @@
-r"""Internal forces that laws of the object ask for, as desired forces of contacts and arms.
+r"""Internal forces that laws of the object ask for: of contacts, and wrenches of connections.
 
 A squeeze consists of internal forces.  Where all contacts are fingertips, which can only push, it
 is a combination of pushing forces (thesis, 3.7.3) with the mean that the scene names.  Bilateral
-joints hold both ways; there every arm presses towards the middle of all grips.
+joints hold both ways; there every connection of the object presses towards the middle of all
+grips.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +18,11 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.forces.internal_forces import decompose, pressing_forces
 from multiarm.dynamics.model import Model
 from multiarm.errors import ControlError, GraspError
+from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
+from multiarm.scene.bodies import OBJECT
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl
 
 # Of a pressing force, the part that a joint may lose along its free motions.
@@ -29,7 +33,8 @@ class DesiredForces(NamedTuple):
     """What the contacts are to do beyond the motion; only its internal part remains."""
 
     of_contacts: np.ndarray  # (N,) [N]
-    of_arms: np.ndarray  # (n, 6) wrenches on the object, about its centre of mass, its axes
+    # (C, 6) wrenches of the connections on the object, about its centre of mass, its axes
+    of_connections: np.ndarray
 
 
 def desired_forces(
@@ -44,17 +49,8 @@ def desired_forces(
     ControlError
         When the contacts cannot have such internal forces.
     """
-    model, of_contacts = data.model, np.zeros(len(W_o))
-    of_arms = np.zeros((len(model.arm_names), 6))
-    by_arm = model.layout.split_contacts(of_contacts)
-    for arm, forces in (control.internal_forces or {}).items():
-        if len(forces) != by_arm[arm].size:
-            names = ", ".join(contact.name for contact in model.contacts[arm])
-            raise ControlError(
-                f"control.internal_forces.{arm}: {count_of(len(forces), 'force')} for "
-                f"{count_of(by_arm[arm].size, 'contact')}; give one each: {names}"
-            )
-        by_arm[arm][:] = forces
+    model, of_contacts = data.model, _named_forces(data.model, control.internal_forces or {})
+    of_connections = np.zeros((len(model.layout.owners), 6))
     moving = np.linalg.norm(decompose(W_o.T, of_contacts).moving)
     if np.any(of_contacts) and moving > (1.0 - 1e-6) * np.linalg.norm(of_contacts):
         raise ControlError(
@@ -62,29 +58,67 @@ def desired_forces(
             "internal; name contacts that press against each other, or use `squeeze`"
         )
     if control.squeeze:
-        contacts = [(arm, contact) for arm, of_arm in model.contacts.items() for contact in of_arm]
-        if all(contact.pushes_only for _, contact in contacts):
-            labels = [f"{arm}: {contact.name}" for arm, contact in contacts]
-            of_contacts += control.squeeze * _pushing(W_o, labels)
+        holding = _rows_on_object(model)
+        contacts = [model.owner(row) for row in holding]
+        if all(isinstance(record, Contact) and record.pushes_only for _, record in contacts):
+            labels = [f"{owner}: {record.name}" for owner, record in contacts]
+            of_contacts[holding] += control.squeeze * _pushing(W_o[holding], labels)
         else:
-            of_arms += control.squeeze * _towards_the_middle(model)
-            _require_pressing(data, W_o, of_arms)
-    return DesiredForces(of_contacts, of_arms)
+            of_connections += control.squeeze * _towards_the_middle(model)
+            _require_pressing(data, W_o, of_connections)
+    return DesiredForces(of_contacts, of_connections)
 
 
-def _require_pressing(data: Data, W_o: np.ndarray, of_arms: np.ndarray) -> None:
+def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) -> np.ndarray:
+    """The forces of contacts (N,) that a scene names; zero for all others."""
+    of_rows = np.zeros(model.layout.contacts)
+    by_owner = model.layout.split_contacts(of_rows)
+    for connection, forces in by_connection.items():
+        records = model.contacts[connection]
+        names = [record.name for record in records if isinstance(record, Contact)]
+        if len(forces) != len(names):
+            raise ControlError(
+                f"control.internal_forces.{connection}: {count_of(len(forces), 'force')} for "
+                f"{count_of(len(names), 'contact')}; give one each: {', '.join(names)}"
+            )
+        by_owner[connection][: len(names)] = forces
+    return of_rows
+
+
+def _rows_on_object(model: Model) -> list[int]:
+    """Rows of the connections of the object."""
+    rows = []
+    for name in _holding(model):
+        of_owner = model.layout.contacts_of(model.layout.owners.index(name))
+        rows += range(of_owner.start, of_owner.stop)
+    return [row for row in rows if isinstance(model.records[row], Contact)]
+
+
+def _holding(model: Model) -> list[str]:
+    """The connections of the object."""
+    return [name for name, pair in model.connections.items() if OBJECT in (pair.first, pair.second)]
+
+
+def _require_pressing(data: Data, W_o: np.ndarray, of_connections: np.ndarray) -> None:
     """Raise an error for a squeeze along a joint's free motion."""
     model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.object).rotation
-    for i, arm in enumerate(model.arm_names):
-        of_arm = W_o[model.layout.contacts_of(i)]
-        desired = np.concatenate([R @ of_arms[i, :3], R @ of_arms[i, 3:]])
-        reached = of_arm.T @ np.linalg.lstsq(of_arm.T, desired, rcond=None)[0]
+    for name in _holding(model):
+        c = model.layout.owners.index(name)
+        rows, wrench = W_o[model.layout.contacts_of(c)], of_connections[c]
+        desired = np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+        reached = rows.T @ np.linalg.lstsq(rows.T, desired, rcond=None)[0]
         lost = np.linalg.norm((reached - desired)[:3])
         if lost > LOST_PART * np.linalg.norm(desired[:3]):
             raise ControlError(
-                f"control.squeeze: the joint of arm '{arm}' cannot press towards the middle of all "
-                f"grips, it gives way there; use `internal_forces` or a joint that holds"
+                f"control.squeeze: {joint_text(model, name)} cannot press towards the middle of "
+                f"all grips, it gives way there; use `internal_forces` or a joint that holds"
             )
+
+
+def joint_text(model: Model, connection: str) -> str:
+    """A connection in a message."""
+    arm = connection in model.arms
+    return f"the joint of arm '{connection}'" if arm else f"the joint '{connection}'"
 
 
 def _pushing(W_o: np.ndarray, names: list[str]) -> np.ndarray:
@@ -95,12 +129,13 @@ def _pushing(W_o: np.ndarray, names: list[str]) -> np.ndarray:
 
 
 def _towards_the_middle(model: Model) -> np.ndarray:
-    """Wrenches (n, 6) of the arms on the object, object axes, that are in balance.
+    """Wrenches (C, 6) of the connections on the object, object axes, that are in balance.
 
-    Each is a force of 1 N (in the mean over the arms) at the origin of the arm's joint frame,
-    towards the middle of all of them as nearly as the balance of forces and moments allows.
+    Each of those of the object is a force of 1 N (in their mean) at the origin of the joint's frame
+    there, towards the middle of all of them as nearly as the balance of forces and moments allows.
     """
-    grips = np.array([frame.on_object[:3, 3] for frame in model.frames.values()])
+    holding = _holding(model)
+    grips = np.array([_grip(model, name) for name in holding])
     inward = np.mean(grips, axis=0) - grips
     distance = np.linalg.norm(inward, axis=1)
     if not np.all(distance > 1e-9):
@@ -122,4 +157,13 @@ def _towards_the_middle(model: Model) -> np.ndarray:
             "`internal_forces`"
         )
     forces /= mean
-    return np.hstack([forces, np.cross(grips, forces)])
+    wrenches = np.zeros((len(model.layout.owners), 6))
+    numbers = [model.layout.owners.index(name) for name in holding]
+    wrenches[numbers] = np.hstack([forces, np.cross(grips, forces)])
+    return wrenches
+
+
+def _grip(model: Model, connection: str) -> np.ndarray:
+    """Origin of a joint's frame on the object, in its axes, shape (3,) [m]."""
+    frame, pair = model.frames[connection], model.connections[connection]
+    return (frame.on_tip if pair.first == OBJECT else frame.on_object)[:3, 3]

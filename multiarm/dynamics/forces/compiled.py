@@ -91,7 +91,7 @@ def write_multipliers(W_o, wrench, y):
 
 @kernel
 def pressing_wrench(rotation, on_object, world):
-    """Write an arm's wrench on the object in world axes; returns whether there is any."""
+    """Write a connection's wrench on the object in world axes; returns whether there is any."""
     presses = False
     for a in range(6):
         world[a], presses = 0.0, presses or on_object[a] != 0.0
@@ -103,27 +103,27 @@ def pressing_wrench(rotation, on_object, world):
 
 
 @allocating
-def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_arms, force):
+def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_connections, force):
     r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
 
     Parameters
     ----------
     wrench : (6,)
         About the centre of mass, world axes [N, N m].
-    W_o : (N, 6), rows : int (n + 1,), or longer
-        Rows of all contacts in world axes, and where each arm's begin.
+    W_o : (N, 6), rows : int (C + 1,)
+        Rows of all contacts in world axes, and where each connection's begin.
     rotation : (9,)
         Of the object, row by row.
-    of_contacts : (N,), of_arms : (n, 6)
-        Desired forces of the contacts, and a desired wrench of every arm on the object (about its
-        centre of mass, its axes).  Only their internal part remains.
+    of_contacts : (N,), of_connections : (C, 6)
+        Desired forces of the contacts, and a desired wrench of every connection on the object
+        (about its centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
     desired, remaining, world = np.empty(of_contacts.size), np.empty(6), np.empty(6)
     copy(of_contacts, desired)
-    for i in range(of_arms.shape[0]):
-        if pressing_wrench(rotation, of_arms[i], world):
-            r0, r1 = rows[i], rows[i + 1]
+    for c in range(of_connections.shape[0]):
+        if pressing_wrench(rotation, of_connections[c], world):
+            r0, r1 = rows[c], rows[c + 1]
             static_forces(W_o[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
