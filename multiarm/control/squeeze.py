@@ -58,11 +58,10 @@ def desired_forces(
             "internal; name contacts that press against each other, or use `squeeze`"
         )
     if control.squeeze:
-        holding = _rows_on_object(model)
-        contacts = [model.owner(row) for row in holding]
-        if all(isinstance(record, Contact) and record.pushes_only for _, record in contacts):
-            labels = [f"{owner}: {record.name}" for owner, record in contacts]
-            of_contacts[holding] += control.squeeze * _pushing(W_o[holding], labels)
+        rows = list(model.contacts_of_object)
+        if all(model.records[row].pushes_only for row in rows):
+            labels = [": ".join((owner, record.name)) for owner, record in map(model.owner, rows)]
+            of_contacts[rows] += control.squeeze * _pushing(W_o[rows], labels)
         else:
             of_connections += control.squeeze * _towards_the_middle(model)
             _require_pressing(data, W_o, of_connections)
@@ -85,18 +84,9 @@ def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) ->
     return of_rows
 
 
-def _rows_on_object(model: Model) -> list[int]:
-    """Rows of the connections of the object."""
-    rows = []
-    for name in _holding(model):
-        of_owner = model.layout.contacts_of(model.layout.owners.index(name))
-        rows += range(of_owner.start, of_owner.stop)
-    return [row for row in rows if isinstance(model.records[row], Contact)]
-
-
 def _holding(model: Model) -> list[str]:
     """The connections of the object."""
-    return [name for name, pair in model.connections.items() if OBJECT in (pair.first, pair.second)]
+    return [name for name, connection in model.connections.items() if connection.of_object]
 
 
 def _require_pressing(data: Data, W_o: np.ndarray, of_connections: np.ndarray) -> None:

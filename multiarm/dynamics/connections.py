@@ -39,6 +39,11 @@ class Connection:
         """Whether its second body is the object."""
         return self.second == OBJECT
 
+    @property
+    def of_object(self) -> bool:
+        """Whether the object is one of its bodies."""
+        return OBJECT in (self.first, self.second)
+
 
 class Links(NamedTuple):
     """The L links that carry tips, robot after robot."""

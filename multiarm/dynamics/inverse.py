@@ -2,13 +2,13 @@ r"""Inverse dynamics: the joint torques for a desired motion and desired interna
 
 The motion is given by the object's acceleration and by :math:`\dot\alpha`, with the rates
 :math:`\alpha` of the free motions of the joints.  With the motion space T of its joint (thesis,
-3.5 - 3.8), each gripper accelerates with
+3.5 - 3.8), each gripper on the object accelerates with
 
 .. math::
     \dot v_m = G\dot v_o + G_1 v_o + H_o T\dot\alpha + (H_o\dot T + G_2 H_o T)\,\alpha
 
 (:func:`multiarm.contacts.matrices.gripper_acceleration`), the joints with
-:math:`J\ddot q = \dot v_m - \dot J\dot q`, and the contacts must carry
+:math:`J\ddot q = \dot v_m - \dot J\dot q`, and the contacts of the object must carry
 
 .. math:: W_o\lambda = w, \qquad w = I_o\dot v_o - f_o, \qquad \lambda = W_o^+ w + A_o\mu_I .
 
@@ -17,33 +17,44 @@ in joint space, where it also holds for arms with more or fewer than six joints 
 postures.  A redundant arm has the accelerations nearest to a posture acceleration, in the metric of
 its kinetic energy.
 
+The accelerations of a robot with several tips satisfy these equations for all its connections at
+once: with the object, with the world, where :math:`\dot v_o` is zero, and of its links with each
+other, where it is that of the second link.  They keep its couplings too.  Contacts that do not act
+on the object carry nothing: the drives do.
+
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
 CUHK 1995, section 3.10.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
+from multiarm.contacts.motion import BodyMotion
+from multiarm.contacts.table import JointRow
+from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import relative_motion
 from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.forces.internal_forces import InternalForces, distribute
+from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
+from multiarm.geometry.screws import skew
+from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
+from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
 
@@ -54,11 +65,12 @@ class InverseDynamics:
 
     Attributes
     ----------
-    torques : mapping arm -> ndarray, shape (n_i,)
+    torques : mapping robot -> ndarray, shape (n_i,)
         [N m, N]
-    contact_forces : mapping arm -> ndarray, shape (N_i,)
-        The resulting magnitudes [N]; positive pushes the object.
-    joint_accelerations : mapping arm -> ndarray, shape (n_i,)
+    contact_forces : mapping connection -> ndarray, shape (N_i,)
+        The resulting magnitudes [N]; positive pushes the object.  Zero for connections that do not
+        act on it.
+    joint_accelerations : mapping robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]
     residuals : Residuals
         Of the equations of motion.  The residual of the constraints does not use the motion space:
@@ -92,27 +104,28 @@ def inverse_dynamics(
         On the constraints, positions and velocities.
     object_acceleration : array-like, shape (6,)
         Of the centre of mass (classical) and angular, world axes [m/s^2, rad/s^2].
-    relative_acceleration : mapping arm -> array-like (m_i,) or None, optional
-        Rates of ``alpha``, in the order of ``system.frames[arm].free`` [m/s^2, rad/s^2]; ``None``
-        leaves the relative motion undetermined.  Arms that are left out: zero.
+    relative_acceleration : mapping connection -> array-like (m_i,) or None, optional
+        Rates of ``alpha``, in the order of ``system.frames[name].free`` [m/s^2, rad/s^2]; ``None``
+        leaves the relative motion undetermined.  Left out: zero for connections with the object,
+        undetermined for the others.
     internal_forces : array-like, shape (k,), optional
         Coordinates of the internal forces in ``basis`` [N]; none when left out.
     t : float
         Time [s].
     basis : "orthonormal", "nonnegative", "echelon" or InternalForces
         Basis of the coordinates, see :mod:`multiarm.dynamics.forces.internal_forces`.
-    posture_acceleration : mapping arm -> array-like (n_i,), optional
-        Preferred joint accelerations of redundant arms; zero when left out.
+    posture_acceleration : mapping robot -> array-like (n_i,), optional
+        Preferred joint accelerations of redundant robots; zero when left out.
 
     Raises
     ------
     SolverError
-        When an arm cannot have the desired motion.
+        When a robot, or the object on its joints with the world, cannot have the desired motion.
     GraspError
         When the contacts cannot put the desired wrench on the object, there is no basis of the
         desired form, or the internal forces do not fit it.
     ModelError
-        For an unknown arm or a wrong shape.
+        For an unknown robot or connection, or a wrong shape.
     """
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
     t, state = require_time(t), system.checked(state)
@@ -142,24 +155,27 @@ def _solve(
     b, layout = data.arrays, data.model.layout
     free, f_o, c = b.forces.f_j.copy(), b.forces.f_o.copy(), b.rows.c.copy()
     require_ok(data, update_kinematics(data.struct))
-    force = _contact_forces(ev, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
-    a_j, torque, faults = np.zeros(layout.joints), np.zeros(layout.joints), []
+    force = _contact_forces(data, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
+    a_j, torque = np.zeros(layout.joints), np.zeros(layout.joints)
+    missed = _missed_by_the_object(data, c, desired)
     for i, name in enumerate(layout.names):
-        d, r = layout.joints_of(i), layout.contacts_of(i)
+        d, r = layout.joints_of(i), layout.contacts_of_block(i)
         M = read_inertia(b.bodies.pointers[i], d.stop - d.start)
         W = data.work.W[i, : d.stop - d.start, : r.stop - r.start]
-        A, a = _desired_motion(data.model, name, ev, desired, relative[name])
+        A, a = _desired_motion(data, i, ev, desired, relative)
         a_j[d], left = _nearest(M, A, a, posture[name])
         if left > MISSED_MOTION * (1.0 + np.max(np.abs(a), initial=0.0)):
-            faults.append(
-                f"arm '{name}' ({count_of(len(M), 'joint')}) misses it by {left:.3g} m/s^2, rad/s^2"
+            missed.append(
+                f"{_noun(data.model, name)} '{name}' ({count_of(len(M), 'joint')}) misses it by "
+                f"{left:.3g} m/s^2, rad/s^2"
             )
         torque[d] = M @ a_j[d] - free[d] - W @ force[r]
-    if faults:
+    if missed:
+        key = "arm" if set(data.model.connections) == set(data.model.arms) else "connection"
         raise SolverError(
-            "the wanted motion is not possible: " + "; ".join(faults) + "; leave the relative "
-            "motion of such an arm free (`relative_acceleration={arm: None}`), or ask for another "
-            "motion"
+            "the wanted motion is not possible: " + "; ".join(missed) + "; leave the relative "
+            f"motion of such an arm free (`relative_acceleration={{{key}: None}}`), or ask for "
+            "another motion"
         )
     acceleration, forces = np.append(desired, a_j), np.append(f_o, free + torque)
     return InverseDynamics(
@@ -170,27 +186,95 @@ def _solve(
     )
 
 
+def _noun(model: Model, robot: str) -> str:
+    return "arm" if "" in model.arms[robot].tips else "robot"
+
+
+def _missed_by_the_object(data: Data, c: np.ndarray, desired: np.ndarray) -> list[str]:
+    """What of the object's acceleration its joints with the world forbid, in words."""
+    model, missed = data.model, []
+    for name, pair in model.connections.items():
+        if pair.robot:
+            continue
+        rows = model.layout.contacts_of(model.layout.owners.index(name))
+        against = np.abs(data.arrays.rows.W_o[rows] @ desired - c[rows])
+        if np.max(against) > MISSED_MOTION * (1.0 + np.max(np.abs(desired))):
+            missed.append(f"the joint '{name}' misses it by {np.max(against):.3g} m/s^2")
+    return missed
+
+
 def _desired_motion(
+    data: Data,
+    i: int,
+    ev: Evaluation,
+    object_acceleration: np.ndarray,
+    relative: Mapping[str, np.ndarray | None],
+) -> tuple[np.ndarray, np.ndarray]:
+    """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of robot ``i``."""
+    model, robot = data.model, data.model.layout.names[i]
+    equations = [
+        _motion_of_first(model, pair, ev, object_acceleration, relative[name])
+        for name, pair in model.connections.items()
+        if pair.robot == robot
+    ]
+    first, end = model.layout.first_of_block[i : i + 2]
+    couplings = [k for k in range(end - first) if isinstance(model.records[first + k], JointRow)]
+    W = data.work.W[i][: model.arms[robot].dof, couplings]
+    equations.append((W.T, np.zeros(len(couplings))))
+    A, a = zip(*equations, strict=True)
+    return np.vstack(A), np.concatenate(a)
+
+
+class _Frame(NamedTuple):
+    """A frame of a connection, by the joint accelerations of its robot, world axes."""
+
+    rotation: np.ndarray  # (3, 3)
+    twist: np.ndarray  # (6,)
+    J: np.ndarray  # (6, n)
+    drift: np.ndarray  # (6,) acceleration without joint accelerations
+
+
+def _frame(
+    model: Model, body: BodyName, robot: str, ev: Evaluation, object_acceleration: np.ndarray
+) -> _Frame:
+    state = ev.state
+    still = np.zeros((6, model.arms[robot].dof))
+    if body.is_link:
+        rates = state.joint_velocities[robot]
+        tip = model.arms[robot].terms(state.joint_positions[robot], rates, body.tip)
+        return _Frame(tip.tip_rotation, tip.tip_twist, tip.J, tip.drift)
+    if body == OBJECT:
+        R = quaternion_to_matrix(state.object_quaternion_xyzw)
+        return _Frame(R, state.object_twist, still, object_acceleration)
+    return _Frame(np.eye(3), np.zeros(6), still, np.zeros(6))
+
+
+def _motion_of_first(
     model: Model,
-    name: str,
+    pair: Connection,
     ev: Evaluation,
     object_acceleration: np.ndarray,
     rates: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of one arm."""
-    state = ev.state
-    arm = model.arms[name].terms(state.joint_positions[name], state.joint_velocities[name])
-    R = quaternion_to_matrix(state.object_quaternion_xyzw)
-    relative, space = relative_motion(model, state, name), ev.motion_space(name)
+    """``A`` and ``a`` of one connection; without ``rates``, across its free motions only."""
+    first, second = (
+        _frame(model, body, pair.robot, ev, object_acceleration)
+        for body in (pair.first, pair.second)
+    )
+    relative, space = relative_motion(model, ev.state, pair.name), ev.motion_space(pair.name)
     alpha = space.rates(relative.twist)
     alpha_dot = np.zeros(alpha.size) if rates is None else rates
     vdot = gripper_acceleration(
-        R, state.object_twist, object_acceleration, relative, space.acceleration(alpha, alpha_dot)
+        second.rotation, second.twist, second.drift, relative, space.acceleration(alpha, alpha_dot)
     )
+    carried = second.J.copy()  # the first frame moves with the second body
+    carried[:3] -= skew(second.rotation @ relative.translation) @ second.J[3:]
+    A, a = first.J - carried, vdot - first.drift
     if rates is not None:
-        return arm.J, vdot - arm.drift
-    across = (np.kron(np.eye(2), R) @ relative_wrenches(ev.contact_terms[name], relative)[0]).T
-    return across @ arm.J, across @ (vdot - arm.drift)
+        return A, a
+    wrenches = relative_wrenches(ev.contact_terms[pair.name], relative)[0]
+    across = (np.kron(np.eye(2), second.rotation) @ wrenches).T
+    return across @ A, across @ a
 
 
 def _uncontrolled(data: Data) -> Data:
@@ -203,16 +287,21 @@ def _uncontrolled(data: Data) -> Data:
 
 
 def _contact_forces(
-    ev: Evaluation,
+    data: Data,
     wrench: np.ndarray,
     coordinates: np.ndarray | None,
     basis: str | InternalForces,
 ) -> np.ndarray:
     """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
-    R = quaternion_to_matrix(ev.state.object_quaternion_xyzw)
-    form = ev.internal_forces(basis) if isinstance(basis, str) else basis
-    in_object_axes = np.concatenate([R.T @ wrench[:3], R.T @ wrench[3:]])
-    return distribute(ev.W_o, in_object_axes, coordinates, form)
+    model, force = data.model, np.zeros(data.model.layout.contacts)
+    rows = list(model.contacts_of_object)
+    names = ["/".join((owner, record.name)) for owner, record in map(model.owner, rows)]
+    R = fields_of(BodyMotion, data.arrays.bodies.object).rotation
+    to_object = np.kron(np.eye(2), R.T)
+    W_o = to_object @ data.arrays.rows.W_o[rows].T
+    form = internal_forces(W_o, basis, None, names) if isinstance(basis, str) else basis
+    force[rows] = distribute(W_o, to_object @ wrench, coordinates, form)
+    return force
 
 
 def _nearest(
@@ -235,30 +324,33 @@ def _nearest(
 
 
 def _relative_accelerations(
-    model: Model, given: Mapping[str, np.ndarray | None]
+    model: Model, wanted: Mapping[str, np.ndarray | None]
 ) -> dict[str, np.ndarray | None]:
-    """The desired rates of ``alpha`` of every arm; None: undetermined."""
-    _require_arms(model, "relative_acceleration", given)
+    """The desired rates of ``alpha`` of every connection of a robot; None: undetermined."""
+    key, of_robots = "relative_acceleration", [n for n, c in model.connections.items() if c.robot]
+    _require_known(key, wanted, of_robots, "arm" if of_robots == list(model.arms) else "connection")
     rates: dict[str, np.ndarray | None] = {}
-    for arm, frame in model.frames.items():
-        values = given.get(arm, np.zeros(len(frame.free)))
-        what = f"relative_acceleration[{arm!r}] ({', '.join(frame.labels) or 'nothing is free'})"
-        rates[arm] = None if values is None else checked_vector(what, values, len(frame.free))
+    for name in of_robots:
+        frame = model.frames[name]
+        default = np.zeros(len(frame.free)) if model.connections[name].on_object else None
+        values = wanted.get(name, default)
+        what = f"{key}[{name!r}] ({', '.join(frame.labels) or 'nothing is free'})"
+        rates[name] = None if values is None else checked_vector(what, values, len(frame.free))
     return rates
 
 
-def _posture_accelerations(model: Model, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    _require_arms(model, "posture_acceleration", given)
+def _posture_accelerations(model: Model, wanted: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    arms_alone = all(_noun(model, name) == "arm" for name in model.arms)
+    _require_known("posture_acceleration", wanted, model.arms, "arm" if arms_alone else "robot")
     return {
-        name: checked_vector(f"posture_acceleration[{name!r}]", given.get(name, np.zeros(n)), n)
+        name: checked_vector(f"posture_acceleration[{name!r}]", wanted.get(name, np.zeros(n)), n)
         for name, n in ((name, arm.dof) for name, arm in model.arms.items())
     }
 
 
-def _require_arms(model: Model, what: str, given: Any) -> None:
-    if not isinstance(given, Mapping):
-        raise ModelError(f"{what}: must be a dict with numbers by arm, got {shown(given)}")
-    for arm in given:
-        if arm not in model.arms:
-            names = ", ".join(model.arm_names)
-            raise ModelError(f"{what}: unknown arm {arm!r}; arms are {names}")
+def _require_known(key: str, wanted: Any, names: Iterable[str], noun: str) -> None:
+    if not isinstance(wanted, Mapping):
+        raise ModelError(f"{key}: must be a dict with numbers by {noun}, got {shown(wanted)}")
+    for name in wanted:
+        if name not in names:
+            raise ModelError(f"{key}: unknown {noun} {name!r}; {noun}s are {', '.join(names)}")

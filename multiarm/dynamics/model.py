@@ -140,6 +140,16 @@ class Model:
         """Owner and record of a row of W."""
         return self.layout.owners[self.layout.owner_of_contact(row)], self.records[row]
 
+    @cached_property
+    def contacts_of_object(self) -> tuple[int, ...]:
+        """Rows of the contacts of the object's connections."""
+        rows: list[int] = []
+        for name, connection in self.connections.items():
+            of_owner = self.layout.contacts_of(self.layout.owners.index(name))
+            if connection.of_object:
+                rows += range(of_owner.start, of_owner.stop)
+        return tuple(row for row in rows if isinstance(self.records[row], Contact))
+
     @property
     def object_number(self) -> int:
         """The object among the bodies (:mod:`multiarm.dynamics.connections`); the world follows."""
