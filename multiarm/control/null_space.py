@@ -31,6 +31,7 @@ from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import JOINT, open_code
 from multiarm.dynamics.kinematics import is_object, write_connection_motion
+from multiarm.dynamics.solver.bounds import IMMOVABLE
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
 from multiarm.jit.kernels import allocating, clear, copy, inlined, kernel
 from multiarm.jit.structs import floats_at
@@ -80,8 +81,15 @@ def nearest_accelerations(inertia, W, preferred, target, result, multipliers):
         for a in range(m):
             for b in range(a + 1):
                 K[a, b] += Y[j, a] * Y[j, b]
+    largest = 0.0
     for a in range(m):
-        scale[a] = 1.0 / math.sqrt(K[a, a]) if K[a, a] > 0.0 else 1.0
+        largest = max(largest, K[a, a])
+    if largest == 0.0:
+        largest = 1.0
+    for a in range(m):
+        # a row of roundings, as those across the plane of a linkage, is not scaled up
+        moves = K[a, a] > IMMOVABLE * IMMOVABLE * largest
+        scale[a] = 1.0 / math.sqrt(K[a, a] if moves else largest)
         rest[a] *= scale[a]
     for a in range(m):
         for b in range(a + 1):

@@ -47,7 +47,7 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Model
-from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, MISSED_MOTION
+from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
@@ -315,7 +315,9 @@ def _nearest(
     L = np.linalg.cholesky(M)
     B = np.linalg.solve(L, A.T).T
     size = np.linalg.norm(B, axis=1)
-    scale = 1.0 / np.where(size > 0.0, size, 1.0)
+    largest = np.max(size, initial=0.0) or 1.0
+    # a row of roundings, as those across the plane of a linkage, is not scaled up
+    scale = 1.0 / np.where(size > IMMOVABLE * largest, size, largest)
     y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=ARM_RANK_TOLERANCE)[
         0
     ]
