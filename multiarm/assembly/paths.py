@@ -8,6 +8,7 @@ held.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from multiarm.assembly.linkage import Linkage, projection_tolerance
 from multiarm.assembly.loop_closure import close_gaps
 from multiarm.control.object_path import pose_of, quintic, route
 from multiarm.control.program import JointPath
+from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -77,19 +79,54 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
     """The scene with every tip fixed to the object where it is at the start.
 
     Its motion is one that the joints allow, and it is unique: free motions of a joint stay at rest.
-    Arms with fewer than six joints cannot hold rigidly; they keep their own joints.
+    Arms with fewer than six joints cannot hold rigidly, nor can tips of robots that do not move in
+    all directions beside the other connections of their robot; they keep their own joints.
     """
-    joints = []
+    joints: list[Any] = []
+    rigid = _rigid_connections(data, start)
     for joint in scene.joints:
-        rigid = data.model.arms[joint.arm].dof >= 6
-        joints.append({"arm": joint.arm, "kind": "weld"} if rigid else joint)
-    arms = {
-        name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
-        for name, spec in scene.arms.items()
-    }
+        if joint.connection not in rigid:
+            joints.append(joint)
+        elif joint.between is None:
+            joints.append({"arm": joint.arm, "kind": "weld"})
+        else:
+            bodies = {"between": joint.between, "name": joint.name}
+            joints.append({**bodies, "kind": "weld"})
+    arms, robots = (
+        {
+            name: spec.model_copy(update={"posture": tuple(start.joint_positions[name])})
+            for name, spec in specs.items()
+        }
+        for specs in (scene.arms, scene.robots)
+    )
     body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
-    parts = {"joints": joints, "arms": arms, "object": body}
+    parts = {"joints": joints, "arms": arms, "robots": robots, "object": body}
     return scene.replace(**parts, control={"kind": "none"}, effects={})
+
+
+def _rigid_connections(data: Data, start: State) -> set[str]:
+    """The connections whose tips can be fixed to the object without holding it back."""
+    model, layout, rigid = data.model, data.model.layout, set()
+    data.set_state(0.0, start)
+    require_ok(data, update_kinematics(data.struct))
+    directions = force_directions(data)
+    for i, robot in enumerate(layout.names):
+        arm, columns = model.arms[robot], layout.of_robot(i)
+        rows = {
+            layout.owners[c]: directions[columns, layout.contacts_of(c)].T
+            for c in layout.owners_of_block(i)
+        }
+        for name, pair in model.connections.items():
+            if pair.robot != robot or not pair.on_object:
+                continue
+            angles, rates = start.joint_positions[robot], start.joint_velocities[robot]
+            J = arm.tip_kinematics(angles, rates, pair.first.tip).jacobian
+            beside = np.vstack([J[:0], *(rows[owner] for owner in rows if owner != name)])
+            free = np.linalg.matrix_rank(np.vstack([beside, J])) - np.linalg.matrix_rank(beside)
+            if arm.dof >= 6 if "" in arm.tips else free == 6:
+                rigid.add(name)
+                rows[name] = J
+    return rigid
 
 
 def _segment(
@@ -189,9 +226,13 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
 
 def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
     gaps = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
-    arm, gap = max(((arm, float(np.max(gap))) for arm, gap in gaps.items()), key=lambda a: a[1])
+    owner, gap = max(
+        ((owner, float(np.max(gap, initial=0.0))) for owner, gap in gaps.items()),
+        key=lambda worst: worst[1],
+    )
+    noun = "arm" if owner in data.model.arms else "joint"
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "
-        f"{100 * part:.0f} % (arm '{arm}' is {gap:.3g} m off); choose a nearer pose or other base "
-        f"placements"
+        f"{100 * part:.0f} % ({noun} '{owner}' is {gap:.3g} m off); choose a nearer pose or other "
+        f"base placements"
     )
