@@ -27,8 +27,8 @@ the *motion*, and at rest without weight the accelerations :math:`\ddot q_i - p_
 :math:`\kappa_i`, the *excess*.  :math:`\partial(W_o^T y)` is the derivative of the gaps' rates
 while the object moves with the twist y and the arms rest.
 
-There is no closed form where contacts cannot carry any wrench, or the targets of an arm depend on
-each other.
+There is no closed form where contacts cannot carry any wrench, or the targets of a robot depend on
+each other, as those of a flat linkage do.
 """
 
 from __future__ import annotations

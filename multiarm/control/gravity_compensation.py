@@ -1,12 +1,13 @@
-r"""Gravity compensation: the torques that hold arms and object at rest.
+r"""Gravity compensation: the torques that hold robots and object at rest.
 
 .. math::
     \tau_i = g_i(q_i) - W_i\lambda_i, \qquad \lambda = W_o^T y, \quad A y = w, \quad A = W_o W_o^T,
 
 with the contact forces of least norm that carry the weight of the object, :math:`w = [-m g; 0]`
-(thesis, 3.4 and 3.10 at rest).  Where contacts cannot carry all of it, as those of a single hinge,
-they carry what is nearest in the sense of least squares; the rest is said at the start
-(:func:`uncarried_weight`) and by every evaluation.  Their derivatives are
+(thesis, 3.4 and 3.10 at rest).  Those of a robot's connections with the world, of its inner loops
+and couplings are zero: drives hold the robot.  Where contacts cannot carry all of the weight, as
+those of a single hinge, they carry what is nearest in the sense of least squares; the rest is said
+at the start (:func:`uncarried_weight`) and by every evaluation.  Their derivatives are
 
 .. math::
     d\tau &= \big(dg - dW\,\lambda\big) - W\,d\lambda, \qquad

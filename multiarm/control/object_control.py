@@ -11,19 +11,21 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
   .. math:: \tau_i = M_i\ddot q_i + b_i - W_i\lambda_i, \qquad
             W_i^T\ddot q_i = c_i - W_{oi}^T\dot v_o
 
-  (thesis, 3.10 in joint space).  Of all joint accelerations that the object's motion allows, the
-  law takes the nearest to :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free
-  motions (a hinge that turns, an elbow that floats) at the rate :math:`\delta`.
+  (thesis, 3.10 in joint space).  The rows are those of all connections of a robot, with the object,
+  the world and between its links, and of its couplings; only the first have forces.  Of all joint
+  accelerations that the object's motion and these rows allow, the law takes the nearest to
+  :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free motions (a hinge that
+  turns, an elbow that floats) at the rate :math:`\delta`.
 
 * *Object impedance* holds the object by a spring and a damper, without changing the inertia of
   object and arms: :math:`w = K e + D(v_r - v_o) - m g`,
   :math:`\tau_i = g_i - W_i\lambda_i - \delta M_i P_i\dot q_i` with :math:`P_i` the projection on
-  the arm's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
+  the robot's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
   rotations and with a different stiffness about each axis, so that the law is passive while its
   reference rests: the rotation vector ``theta`` to the reference has the rate
   :math:`-J_r^{-1}(\theta)\,\omega`, hence the moment :math:`J_r^{-T}(\theta) K\theta`.
 
-With a stiffness of the free motions the arms hold their poses on the object instead
+With a stiffness of the free motions the robots hold their poses on the object instead
 (:mod:`multiarm.control.null_space`).
 
 The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).

@@ -35,6 +35,7 @@ SPRING = {
     "stiffness": {"translation": [900.0, 800.0, 700.0], "rotation": [200.0, 150.0, 100.0]},
     "damping": {"translation": 300.0, "rotation": 40.0},
 }
+FLOOR = {"at": {"xyz": [0, 0, -0.5]}}
 AHEAD = {"time": 0.0, "xyz": [0.83, 0.02, 1.08], "rpy": [0.1, -0.05, 0.15]}
 PATH = [AHEAD, {**AHEAD, "time": 5.0, "xyz": [0.9, 0.0, 1.2]}]
 
@@ -269,8 +270,10 @@ LAWS = {
 @pytest.mark.parametrize("build", [cart_scene, busy_cart], ids=["cart", "busy"])
 @pytest.mark.parametrize("law", LAWS)
 def test_derivatives_of_torques_are_those_of_central_differences(law, build, rng):
-    scene = in_motion(build(), rng)
-    system = controlled(scene, LAWS[law])
+    scene, control = in_motion(build(), rng), LAWS[law]
+    if build is busy_cart and law in ("computed_torque", "impedance"):
+        control = {**control, "internal_forces": {RAIL: [12.0], GUIDE: [-5.0]}}
+    system = controlled(scene, control)
     state, layout = system.initial_state(), system.initial_state().layout
     matrix = ma.derivatives(system).matrix
 
@@ -318,6 +321,33 @@ def test_rows_of_roundings_do_not_count(rng):
     assert not nearest_accelerations(M, W, preferred, target, result, multipliers)
     expected = nearest(M, preferred, W[:, ::2].T, target[::2])
     np.testing.assert_allclose(result, expected, atol=1e-12 / np.abs(np.linalg.det(W[::2, ::2])))
+
+
+@pytest.mark.parametrize(
+    "effects", [{"floor": FLOOR}, {"joint_limits": {}}], ids=["floor", "stops"]
+)
+def test_rows_that_may_open_change_no_law(effects, rng):
+    """Laws take all contacts of the joints as closed, and couplings as they are."""
+    scene = in_motion(busy_cart(right="planar"), rng)
+    forces = {"internal_forces": {RAIL: [12.0]}, "relative_stiffness": 5.0}
+    control = {"kind": "object_impedance", **SPRING, **forces}
+    torques = [
+        ma.evaluate(controlled(scene, control, effects=more)).joint_torques["cart"]
+        for more in ({}, effects)
+    ]
+    np.testing.assert_allclose(torques[1], torques[0], atol=1e-9)
+
+
+def test_stiff_steps_have_the_derivatives_of_laws(rng):
+    """The method that uses them makes the motion of one that does not, in few steps."""
+    system = controlled(in_motion(cart_scene(), rng), LAWS["impedance"])
+    runs = [
+        ma.simulate(system, duration=0.1, integrator=name, tolerance=1e-9)
+        for name in ("rodas5p", "dop853")
+    ]
+    apart = np.abs(runs[0].object_position[-1] - runs[1].object_position[-1])
+    assert np.max(apart) < 1e-9
+    assert runs[0].statistics["steps"] < 300
 
 
 # --- internal forces ------------------------------------------------------------------------------
