@@ -29,6 +29,8 @@ FLOOR = "floor"
 """In place of an arm: contacts of the object with its surroundings."""
 OBJECT, ARMS, ENVIRONMENT, EFFECTS = "object", "arms", "environment", "effects"
 """Groups of channels; others, such as ``energy``, are of the whole run."""
+# Quantities of a robot's joints.
+_OF_JOINTS = ("joint_position", "joint_velocity", "joint_torque")
 # Descriptions of forces: of a connection on its second body, of rows of joints, of the floor.
 _CONTACT_FORCES = "force at each contact along its normal; positive pushes the {}"
 _JOINT_FORCES = (
@@ -149,11 +151,8 @@ def arm_channel(arm: str, quantity: str) -> str:
 
 def arm_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     """Names of the robots that have channels, in the order of the scene."""
-    return tuple(
-        channel.owner.name
-        for channel in channels.values()
-        if channel.owner.group == ARMS and channel.quantity == "joint_position"
-    )
+    of_joints = [c.owner for c in channels.values() if c.quantity in _OF_JOINTS]
+    return tuple(dict.fromkeys(owner.name for owner in of_joints if owner.group == ARMS))
 
 
 def owner_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:

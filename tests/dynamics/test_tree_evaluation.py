@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from mechanics import ur5_pair
 from merged_arms import ROBOT, as_one_robot
-from random_trees import FAMILIES, draw_trees
+from random_trees import FAMILIES, draw_moving_trees
 from tree_models import BodyFrame, body_frame, connection_ends, read_tree_scene
 from tree_oracle import Motions, solve_minimal
 from tree_scenes import cart_scene
@@ -32,7 +32,7 @@ def relative_twist(motions: Motions, first: BodyFrame, second: BodyFrame) -> np.
 
 @pytest.mark.parametrize("family", SURROUNDED)
 def test_free_motions_of_connections_are_those_of_their_bodies(family, tmp_path):
-    drawn = draw_trees(family, np.random.default_rng(5), tmp_path)
+    drawn = draw_moving_trees(family, np.random.default_rng(5), tmp_path)
     trees, state = drawn.trees, drawn.state
     system = ma.compile_system(parse_scene(drawn.scene))
     ev, motions = ma.evaluate(system), Motions(trees, state)
@@ -53,7 +53,7 @@ def test_free_motions_of_connections_are_those_of_their_bodies(family, tmp_path)
 @pytest.mark.parametrize("family", SURROUNDED)
 def test_squeezing_does_not_move_the_object(family, tmp_path):
     """With the world's hold of the object, the resultant accelerates the object."""
-    drawn = draw_trees(family, np.random.default_rng(6), tmp_path)
+    drawn = draw_moving_trees(family, np.random.default_rng(6), tmp_path)
     system = ma.compile_system(parse_scene(drawn.scene))
     ev = ma.evaluate(system)
     solution = solve_minimal(drawn.trees, drawn.state, drawn.torques)
@@ -125,7 +125,7 @@ def test_all_tips_have_kinematics():
 @pytest.mark.parametrize("family", FAMILIES)
 def test_everything_shows_itself(family, tmp_path):
     """Texts of systems, states and evaluations of all families can be made."""
-    drawn = draw_trees(family, np.random.default_rng(7), tmp_path)
+    drawn = draw_moving_trees(family, np.random.default_rng(7), tmp_path)
     system = ma.compile_system(parse_scene(drawn.scene))
     ev = ma.evaluate(system)
     for thing in (system, system.initial_state(), ev, system.kinematics(), system.model):

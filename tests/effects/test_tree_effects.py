@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from random_trees import draw_trees
+from random_trees import draw_moving_trees, draw_trees
 from tree_oracle import solve_minimal
 
 import multiarm as ma
@@ -76,7 +76,7 @@ def test_damping_and_friction_act_on_every_joint_and_limits_on_every_drive(tmp_p
 
 
 def test_the_work_of_effects_closes_the_balance(tmp_path):
-    drawn = draw_trees("moving_bases", np.random.default_rng(8), tmp_path)
+    drawn = draw_moving_trees("moving_bases", np.random.default_rng(8), tmp_path)
     robot = drawn.trees.robots["cart"]
     load = {
         "on": f"cart/{robot.tips['tip_0']}",

@@ -7,7 +7,7 @@ import copy
 import numpy as np
 import pinocchio as pin
 import pytest
-from random_trees import FAMILIES, draw_trees
+from random_trees import FAMILIES, draw_moving_trees
 from scipy.integrate import solve_ivp
 from tree_models import TreeState, read_tree_scene
 from tree_oracle import Motions, solve_minimal
@@ -106,7 +106,7 @@ def momentum(trees, state: TreeState) -> np.ndarray:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_motion_is_that_of_the_dense_reference(family, tmp_path):
-    scene, trees, state, torques = draw_trees(family, np.random.default_rng(1), tmp_path)
+    scene, trees, state, torques = draw_moving_trees(family, np.random.default_rng(1), tmp_path)
     run = ma.simulate(system_of(scene), DURATION, integrator="dop853", tolerance=1e-11)
     assert run.status == "completed", run.message
     # errors of the reference, whose gaps are not closed again: its tolerance times the condition
@@ -116,7 +116,7 @@ def test_the_motion_is_that_of_the_dense_reference(family, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_conserves_the_energy_to_its_order(method, tmp_path):
     for family in ("inner_loops", "mimic_joints", "surroundings"):
-        scene = draw_trees(family, np.random.default_rng(2), tmp_path).scene
+        scene = draw_moving_trees(family, np.random.default_rng(2), tmp_path).scene
         scene = {key: part for key, part in scene.items() if key != "control"}
         run = ma.simulate(system_of(scene), DURATION, integrator=method, **METHODS[method])
         assert run.status == "completed", run.message
@@ -129,7 +129,7 @@ def test_every_method_conserves_the_energy_to_its_order(method, tmp_path):
 
 
 def test_feedback_keeps_the_gaps_small(tmp_path):
-    scene = draw_trees("inner_loops", np.random.default_rng(2), tmp_path).scene
+    scene = draw_moving_trees("inner_loops", np.random.default_rng(2), tmp_path).scene
     run = ma.simulate(
         system_of(scene), DURATION, integrator="rk4", step=1e-3, stabilization="feedback"
     )
@@ -215,7 +215,7 @@ def test_certificates_of_random_scenes_are_true(tmp_path):
     accuracy = 1e-6
     for seed in range(10):
         family = list(FAMILIES)[seed % len(FAMILIES)]
-        scene = draw_trees(family, np.random.default_rng(10 + seed), tmp_path).scene
+        scene = draw_moving_trees(family, np.random.default_rng(10 + seed), tmp_path).scene
         system = system_of(scene)
         run = ma.simulate(system, DURATION, accuracy=accuracy)
         finer = ma.simulate(system, DURATION, integrator="dop853", tolerance=1e-12)
@@ -264,7 +264,7 @@ def test_channels_fill_a_row_exactly(tmp_path):
     drawn = None
     rng = np.random.default_rng(0)
     while drawn is None or not any("object" in j.get("between", ()) for j in drawn.scene["joints"]):
-        drawn = draw_trees("surroundings", rng, tmp_path)
+        drawn = draw_moving_trees("surroundings", rng, tmp_path)
     scene = copy.deepcopy(drawn.scene)
     scene["object"]["shape"] = {"box": [0.1, 0.1, 0.1]}
     scene["effects"] = {"floor": {"at": {"xyz": [0.0, 0.0, -5.0]}}}
@@ -275,15 +275,30 @@ def test_channels_fill_a_row_exactly(tmp_path):
     assert np.max(np.abs(run.energy_balance)) < 1e-6 * np.max(np.abs(run.kinetic_energy))
 
 
-def test_threads_and_steppers_run_robots(tmp_path):
-    scene = gripper_scene()
-    system = system_of(scene)
+def test_runs_in_threads_are_those_of_one():
+    system = system_of(gripper_scene())
     states = [
         system.state(joint_velocities={"gripper": speed * np.ones(6)}) for speed in (0.0, 0.1)
     ]
     alone = ma.simulate(system, 0.01, integrator="rk4", step=1e-3, state=states[1])
     many = ma.simulate_many(system, 0.01, states=states, integrator="rk4", step=1e-3)
-    together = list(many)[1]
     np.testing.assert_array_equal(
-        together.joint_positions["gripper"], alone.joint_positions["gripper"]
+        list(many)[1].joint_positions["gripper"], alone.joint_positions["gripper"]
     )
+
+
+def test_a_stepper_moves_a_robot_as_a_run_does():
+    scene = gripper_scene()
+    system = system_of(scene)
+    run = ma.simulate(system, 0.01, integrator="rk4", step=1e-3)
+    stepper = ma.Stepper(system, integrator="rk4", step=1e-3)
+    torques = {"gripper": np.array(scene["control"]["torques"]["gripper"])}
+    for _ in range(10):
+        state = stepper.advance(1e-3, torques)
+    np.testing.assert_allclose(
+        state.joint_positions["gripper"], run.joint_positions["gripper"][-1], atol=1e-12
+    )
+    assert list(stepper.wrenches) == list(run.wrenches)
+    for name, forces in stepper.contact_forces.items():
+        size = max(np.max(np.abs(forces)), 1.0)
+        np.testing.assert_allclose(forces, run.contact_forces[name][-1], atol=1e-8 * size)

@@ -480,3 +480,12 @@ def draw_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTre
         if drawn is not None:
             return drawn
     raise RuntimeError(f"{family}: no scene of {ATTEMPTS} is well-conditioned")
+
+
+def draw_moving_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTrees:
+    """As :func:`draw_trees`, a scene that is no rigid structure: it moves from the start on."""
+    while True:
+        drawn = draw_trees(family, rng, folder)
+        rates = [drawn.state.object_twist, *drawn.state.joint_velocities.values()]
+        if np.max(np.abs(np.concatenate(rates))) > 0.1:
+            return drawn
