@@ -106,10 +106,11 @@ class TipKinematics:
     twist : ndarray, shape (6,)
         Velocity of the tip's origin [m/s] and angular velocity [rad/s], world axes.
     jacobian : ndarray, shape (6, n)
-        ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.
+        ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.  Of a robot with a
+        floating base (6, 6 + n): the twist of the base stands before the joint velocities.
     joint_names : tuple of str
-        The joints of the columns, from base to tip: those that the arm moves.  A locked joint, such
-        as the trunk of a robot with several arms, has none.
+        The joints of the last n columns, from base to tip: those that the arm moves.  A locked
+        joint, such as the trunk of a robot with several arms, has none.
     """
 
     position: np.ndarray

@@ -169,17 +169,29 @@ class Model:
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
         i = self.layout.robot_of_joint(joint)
-        return self.arms[self.arm_names[i]].joint_names[joint - self.layout.first_joint[i]]
+        return self.arms[self.arm_names[i]].velocity_names[joint - self.layout.first_joint[i]]
 
     @property
     def joint_names(self) -> list[str]:
-        """All joints as ``arm/joint``, in the order of the stacked vectors."""
-        return [f"{name}/{joint}" for name, arm in self.arms.items() for joint in arm.joint_names]
+        """All joints as ``arm/joint``, in the order of the stacked vectors.
+
+        The six of a floating base have names of their own.
+        """
+        arms = self.arms.items()
+        return [f"{name}/{joint}" for name, arm in arms for joint in arm.velocity_names]
 
     @property
     def joint_units(self) -> list[str]:
         """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
-        return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
+        return [unit for arm in self.arms.values() for unit in arm.velocity_units]
+
+    @cached_property
+    def position_limits(self) -> np.ndarray:
+        """Ends of the range of every joint, in the order of the stacked vectors, (n, 2) [rad, m]."""
+        limits = np.full((self.layout.joints, 2), [-np.inf, np.inf])
+        for i, arm in enumerate(self.arms.values()):
+            limits[self.layout.tree_joints(i)] = arm.position_limits
+        return limits
 
     @property
     def controlled(self) -> bool:
