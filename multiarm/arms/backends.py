@@ -128,18 +128,24 @@ class ArmBackends:
         return twin
 
     def connect(
-        self, angles: np.ndarray, rates: np.ndarray, q: np.ndarray, bodies: np.ndarray, status: Any
+        self,
+        angles: np.ndarray,
+        rates: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        bodies: np.ndarray,
+        status: Any,
     ) -> ArmFunctions:
         """Let all arms read positions and velocities, and write the motion of their last links.
 
         Parameters
         ----------
-        angles, rates, q, bodies : ndarray
+        angles, rates, q, v, bodies : ndarray
             See :class:`multiarm.arms.terms.ArmState`.
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        self._state = ArmState(angles, rates, q, bodies)
+        self._state = ArmState(angles, rates, q, v, bodies)
         addresses = {} if self._compiled is None else self._compiled.connect(self._state)
         callbacks: dict[str, PythonCallback] = {}
         if self._groups:
@@ -256,7 +262,8 @@ class ArmGroup:
         self.numbers = slice(start[1], start[1] + model.nq)
         first_dof = np.cumsum([0] + [arm.dof for arm in arms])
         self._joints_before = np.cumsum([0] + [arm.model.njoints - 1 for arm in arms])
-        slots, numbers = [], []
+        slots: list[int] = []
+        numbers: list[int] = []
         for joint in model.joints[1:]:
             numbers += range(joint.idx_v, joint.idx_v + joint.nv)
             slots += [joint.idx_q] if joint.nv == 1 else [-1] * joint.nv
@@ -281,7 +288,7 @@ class ArmGroup:
     def bind(self, state: ArmState) -> Callable[[], None]:
         """Function without arguments that updates all terms from positions and velocities."""
         model, data = self.model, self.data
-        q, v = state.q[self.numbers], state.rates[self.joints]
+        q, v = state.q[self.numbers], state.v[self.joints]
         crba, bias, world = pin.crba, pin.nonLinearEffects, pin.Convention.WORLD
         gravity_torque = pin.computeGeneralizedGravity
 
@@ -300,7 +307,7 @@ class ArmGroup:
     def bind_coriolis(self, state: ArmState, matrices: np.ndarray) -> Callable[[], None]:
         """Function that updates the matrices of Coriolis forces; writes where these are."""
         model, data, n = self.model, self.model.createData(), self.model.nv
-        q, v = state.q[self.numbers], state.rates[self.joints]
+        q, v = state.q[self.numbers], state.v[self.joints]
         run = pin.computeCoriolisMatrix
 
         def update() -> None:

@@ -127,8 +127,8 @@ class ArmState(NamedTuple):
 
     angles, rates : (joints,)
         Positions and velocities of the joints of all arms.
-    q : (numbers,)
-        The same positions as Pinocchio's configuration of its arms.
+    q, v : (numbers,), (joints,)
+        The same as configuration and velocity of Pinocchio.
     bodies : (links, 24)
         Motion of the links of ``ArmBackends.links``, see
         :class:`multiarm.contacts.motion.BodyMotion`.
@@ -137,6 +137,7 @@ class ArmState(NamedTuple):
     angles: np.ndarray
     rates: np.ndarray
     q: np.ndarray
+    v: np.ndarray
     bodies: np.ndarray
 
 

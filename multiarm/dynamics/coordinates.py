@@ -105,9 +105,7 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
     joints = layout.joint_positions(end) - layout.joint_positions(start)
     displacement[layout.of_joints] = joints
     twists = [*layout.twists(displacement), *layout.base_twists(displacement)]
-    poses, there = (
-        [*layout.poses(place), *layout.base_poses(place)] for place in (start, end)
-    )
+    poses, there = ([*layout.poses(place), *layout.base_poses(place)] for place in (start, end))
     for twist, pose, other in zip(twists, poses, there, strict=True):
         twist[:3], twist[3:] = other[:3] - pose[:3], rotation_difference(pose[3:], other[3:])
     return displacement

@@ -22,7 +22,7 @@ from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_joint
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
@@ -44,7 +44,7 @@ from multiarm.spatial import rotation_of, write_matrix
 
 @inlined
 def fill_configuration(model, data):
-    """Write Pinocchio's configuration from the positions of its arms' joints."""
+    """Write Pinocchio's configuration from the positions of its arms' joints and bases."""
     for j in range(data.state.joint_positions.size):
         slot = model.q_slots[j]
         if slot < 0:
@@ -58,6 +58,21 @@ def fill_configuration(model, data):
         for k in range(7):
             slot = model.bases.slot[b] + k
             data.bodies.pinocchio_configuration[slot] = data.state.base_poses[b, k]
+    if data.state.bases.size > 0:
+        fill_velocity(data)
+
+
+@kernel
+def fill_velocity(data):
+    """Write Pinocchio's velocity, where there are floating bases."""
+    rates, v = data.state.joint_rates, data.bodies.pinocchio_velocity
+    copy(rates, v)
+    for b in range(data.state.bases.size):
+        (x, y, z), omega = (
+            rotation_of(data.state.base_poses[b, 3:7]),
+            vec(rates, data.state.bases[b] + 3),
+        )
+        put(v, data.state.bases[b] + 3, (dot(x, omega), dot(y, omega), dot(z, omega)))
 
 
 @kernel

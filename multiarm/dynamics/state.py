@@ -82,7 +82,10 @@ class State:
     @property
     def bases(self) -> Mapping[str, BaseMotion]:
         """Robot name -> motion of its base, of robots whose base floats."""
-        poses, twists = self.layout.base_poses(self.position), self.layout.base_twists(self.velocity)
+        poses, twists = (
+            self.layout.base_poses(self.position),
+            self.layout.base_twists(self.velocity),
+        )
         pairs = zip(self.layout.bases, poses, twists, strict=True)
         return MappingProxyType(
             {self.layout.names[i]: BaseMotion(pose, twist) for i, pose, twist in pairs}

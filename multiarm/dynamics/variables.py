@@ -77,6 +77,8 @@ class BodyVariables(NamedTuple):
     pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.arms.terms
     link_pointers: Ints2  # (L, 3) addresses of the motion of each link
     pinocchio_configuration: Floats1
+    # (joints,) velocities as Pinocchio has them: of floating bases the angular one in base axes
+    pinocchio_velocity: Floats1
     # (B, 24) motion of the links, of the object and of the world, see
     # multiarm.dynamics.connections; parts of the same memory, (L, 24), (24,)
     motion: Floats2
@@ -370,6 +372,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             pointers=pointers.terms,
             link_pointers=pointers.links,
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
+            pinocchio_velocity=state.joint_rates.copy() if layout.bases else state.joint_rates,
             motion=motion,
             links=motion[:-2],
             object=motion[-2],
