@@ -143,6 +143,8 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
         state.joint_velocities[name][:] = robot.velocity
     for name, base in state.bases.items():
         base.pose[:] = robots.arms[name].base_pose
+        written = scene.robots[name].base.twist
+        base.twist[:] = np.zeros(6) if written is None else written
     return state
 
 

@@ -40,7 +40,7 @@ from multiarm.scene.resolution import (
 from multiarm.scene.robots import arm_ends
 from multiarm.scene.spec import Spec
 from multiarm.scene.urdf import JointOutline, Mimic, RobotOutline
-from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipName
+from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipName, Vec6
 
 Direction = Literal["x", "y", "z", "yaw"]
 _DIRECTIONS: tuple[str, ...] = get_args(Direction)
@@ -77,6 +77,9 @@ class RobotBaseSpec(Pose):
     """Ends of the range [m] or [rad], a table by direction; others have none."""
     effort: dict[Direction, Positive] = Field(default_factory=dict)
     """Largest force [N] or torque [N m] of the drives, a table by direction; others have none."""
+    twist: Vec6 | None = None
+    """Of a 'free' base at the start: velocity of its origin [m/s], then angular velocity [rad/s], in
+    world axes. Absent: it rests."""
     mass: Positive | None = None
     """Added to the root link, at the origin of the base [kg]."""
     inertia: Inertia | None = None
@@ -92,6 +95,11 @@ class RobotBaseSpec(Pose):
                     "'free' base has none, remove them"
                 )
             return self
+        if self.twist is not None:
+            raise invalid(
+                "'twist' is of a base that floats; write moves: free, or remove it: velocities of "
+                "other bases are those of their joints, in 'velocity'"
+            )
         if list(self.moves) != [name for name in _DIRECTIONS if name in self.moves]:
             raise invalid(
                 f"'moves' must name each direction once, in the order {', '.join(_DIRECTIONS)}, "
