@@ -272,6 +272,21 @@ class Model:
         )
 
 
+def require_no_floating_base(model: Model, why: str) -> None:
+    """Refuse a model with robots whose base floats; ``why`` is a clause.
+
+    Raises
+    ------
+    ModelError
+    """
+    floating = [name for name, arm in model.arms.items() if arm.floats]
+    if floating:
+        raise ModelError(
+            f"the base of robot '{floating[0]}' floats: {why}; let it move in directions, such as "
+            "'moves: [x, y, z, yaw]', or fix it"
+        )
+
+
 def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table."""
     of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT

@@ -16,7 +16,6 @@ from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
 
-
 BASE_PARTS = ("position", "quaternion_xyzw", "twist")
 """What is given of a floating base."""
 
