@@ -38,6 +38,7 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
@@ -187,7 +188,7 @@ class Model:
 
     @cached_property
     def position_limits(self) -> np.ndarray:
-        """Ends of the range of every joint, in the order of the stacked vectors, (n, 2) [rad, m]."""
+        """Ends of the range of every joint in the stacked vectors, shape (n, 2) [rad, m]."""
         limits = np.full((self.layout.joints, 2), [-np.inf, np.inf])
         for i, arm in enumerate(self.arms.values()):
             limits[self.layout.tree_joints(i)] = arm.position_limits

@@ -1,8 +1,8 @@
 """A robot as a user writes it: a tree of links on a base, with several tips, and what moves it.
 
-The base is fixed, floats freely, or moves in the frame in which it is written: by slides along x, y
-and z, then by a turn about z, real joints ``base_x``, ``base_y``, ``base_z``, ``base_yaw`` before the
-root link.
+The base is fixed, floats freely, or moves in the frame in which it is written: by slides along x,
+y and z, then by a turn about z, real joints ``base_x``, ``base_y``, ``base_z``, ``base_yaw`` before
+the root link.
 Further joints move if they lie on the way from the root to a tip, or to a link that a joint of the
 scene names; the others are held fixed.  A joint on the way that copies another moves by a number of
 its own, and is coupled to its leader.
@@ -78,8 +78,8 @@ class RobotBaseSpec(Pose):
     effort: dict[Direction, Positive] = Field(default_factory=dict)
     """Largest force [N] or torque [N m] of the drives, a table by direction; others have none."""
     twist: Vec6 | None = None
-    """Of a 'free' base at the start: velocity of its origin [m/s], then angular velocity [rad/s], in
-    world axes. Absent: it rests."""
+    """Of a 'free' base at the start: velocity of its origin [m/s], then angular velocity [rad/s],
+    in world axes. Absent: it rests."""
     mass: Positive | None = None
     """Added to the root link, at the origin of the base [kg]."""
     inertia: Inertia | None = None

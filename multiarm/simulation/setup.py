@@ -283,7 +283,8 @@ def _check_bases(model: Model, name: str) -> None:
     if floating and METHODS[name].kind not in (EXPLICIT, SEMI_IMPLICIT):
         text = (
             f"'{name}' needs derivatives by the pose of a floating base, that of robot "
-            f"'{floating[0]}', which there are not yet; use another method, such as 'dop853' or 'rk4'"
+            f"'{floating[0]}', which are not there yet; use another method, such as 'dop853' or "
+            "'rk4'"
         )
         raise SceneError([Fault(text, "integrator", ("run", "integrator"))])
 
