@@ -65,14 +65,17 @@ def _check_bases(control: ControlKind, context: ControlContext) -> None:
     of_object = isinstance(control, ComputedTorqueControl | ObjectImpedanceControl)
     if not floating or not (carries or of_object or control.object_waypoints):
         return
-    gains = isinstance(control, JointPDControl | RecordedControl)
-    what = "'gravity_compensation: true'" if carries and gains else f"kind '{control.kind}'"
+    what = f"kind '{control.kind}'"
     if control.object_waypoints and not of_object:
         what = "'path'"
+    elif holds:
+        what = "'hold: true'"
+    elif isinstance(control, JointPDControl | RecordedControl):
+        what = "'gravity_compensation: true'"
     raise ControlError(
         f"control: {what} is not computed with a base that floats, that of robot '{floating[0]}', "
         "since no drive holds it; control the joints alone: 'joint_pd' with 'gravity_compensation: "
-        "false', 'harmonic', 'constant', 'recorded', or a function in Python"
+        "false', 'harmonic' with 'hold: false', 'constant', 'recorded', or a function in Python"
     )
 
 

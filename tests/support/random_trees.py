@@ -500,12 +500,14 @@ FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
         real_robots,
     )
 }  # fmt: skip
+# With those of robots that float, of whose state the base's motion is a part.
+ALL_FAMILIES = {**FAMILIES, "floating_bases": floating_bases}
 
 
 def draw_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTrees:
     """A well-conditioned scene of a family; files of its robots are in ``folder``."""
     for _ in range(ATTEMPTS):
-        drawn = finish(rng, FAMILIES[family](rng, folder))
+        drawn = finish(rng, ALL_FAMILIES[family](rng, folder))
         if drawn is not None:
             return drawn
     raise RuntimeError(f"{family}: no scene of {ATTEMPTS} is well-conditioned")
