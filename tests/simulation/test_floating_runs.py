@@ -185,7 +185,7 @@ def test_a_law_that_writes_torques_of_all_joints_does_not_drive_the_base():
 
 def test_joint_stops_and_friction_count_the_joints_after_the_base():
     ends = {"range": {"sat": {"elbow_joint": [1.19, 1.21]}}}
-    friction = {"model": "coulomb", "torque": {"sat": {"wrist_3_joint": 50.0}}}
+    friction = {"model": "set_valued", "torque": {"sat": {"wrist_3_joint": 50.0}}}
     effects = {"joint_limits": ends, "joint_friction": friction}
     scene = satellite_scene(effects=effects)
     trees = read_tree_scene(scene)
