@@ -269,6 +269,8 @@ def _places_of_bases(data: Data) -> np.ndarray:
         for j in slides:
             axis = np.array(arm.files.base_joints[j].axis)
             places[i] += arm.files.base[:3, :3] @ axis * positions[j]
+    for i, pose in zip(model.layout.bases, data.arrays.state.base_poses, strict=True):
+        places[i] = pose[:3]
     return places
 
 

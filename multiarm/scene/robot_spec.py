@@ -54,9 +54,16 @@ FREE: Literal["free"] = "free"
 
 
 def _moves(value: Any) -> Any:
-    if isinstance(value, str) and value != FREE:
-        listing = f"must be a list of some of {', '.join(_DIRECTIONS)}, got {shown(value)}"
-        raise invalid(_NOT_SIMULATED.get(value, listing))
+    if value == FREE:
+        return value
+    if not isinstance(value, list | tuple):
+        listing = (
+            f"must be a list of some of {', '.join(_DIRECTIONS)}, or {FREE!r}, got {shown(value)}"
+        )
+        raise invalid(_NOT_SIMULATED.get(str(value), listing))
+    for direction in value:
+        if direction not in _DIRECTIONS:
+            raise invalid(unknown("direction", direction, _DIRECTIONS))
     return value
 
 

@@ -181,6 +181,13 @@ def test_controls_that_rest_on_the_base_are_refused(control):
         ma.compile_system(parse_scene(satellite_scene(DOWN, control=control)))
 
 
+def test_postures_are_not_found_beside_a_floating_base():
+    scene = satellite_scene()
+    scene["robots"]["sat"]["posture"] = "solve"
+    with pytest.raises(SceneError, match=r"robots\.sat\.posture.*base floats"):
+        ma.compile_system(parse_scene(scene))
+
+
 @pytest.mark.parametrize(
     "key", [{"limits": {"x": [0, 1]}}, {"effort": {"x": 1.0}}, {"moves": ["x"], "twist": [0.0] * 6}]
 )
