@@ -24,9 +24,7 @@ from multiarm.errors import ModelError
 
 LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 3), ("arm",), (0, 2), (0,)),
-    Layout(
-        ("left", "right"), (0, 3, 5), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3
-    ),
+    Layout(("left", "right"), (0, 3, 5), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3),
     Layout((), (0,), (0,), (), (0,), (), frames=2),
     Layout(("fixed", "a", "b"), (0, 2, 9, 15), (0, 2, 9, 15), ("a",), (0, 1), (1,), bases=(1, 2)),
 ]
