@@ -44,6 +44,17 @@ def write_matrix(quaternion: np.ndarray, rotation: np.ndarray) -> None:
     rotation[8] = 1.0 - 2.0 * (x * x + y * y)
 
 
+@plain
+def rotation_of(quaternion):
+    """The columns of the rotation matrix of a unit quaternion (xyzw)."""
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        (2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
 def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
     """Rotation matrix, shape (3, 3), of a unit quaternion ``xyzw``, shape (4,)."""
     rotation = np.empty(9)

@@ -19,12 +19,19 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from multiarm.arms.base_motion import BaseMotion
 from multiarm.arms.terms import ArmStructure, ArmTerms, TipKinematics
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 from multiarm.scene.urdf import JointOutline
+from multiarm.spatial import matrix_to_quaternion
+
+BASE_VELOCITY = ("base_x", "base_y", "base_z", "base_turn_x", "base_turn_y", "base_turn_z")
+"""Names of the first numbers of a velocity of a robot with a floating base, in messages."""
+BASE_UNITS = ["m"] * 3 + ["rad"] * 3
+"""Units of the displacements that belong to them."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +40,8 @@ class ArmFiles:
 
     ``tips`` are links by their names, "" for the only tip of an arm.  ``tool_urdf`` is a path, or
     the text of a URDF; with ``mjcf`` the robot's file is MuJoCo's.  ``base_joints`` move the root
-    link from where ``base`` places it; ``base_mass`` [kg] at the base's origin and ``base_inertia``
-    (3, 3) about it [kg m^2] are added to the root link then.
+    link from where ``base`` places it, or it floats (``base_floats``); ``base_mass`` [kg] at the
+    base's origin and ``base_inertia`` (3, 3) about it [kg m^2] are added to the root link then.
     """
 
     urdf: Path
@@ -48,6 +55,7 @@ class ArmFiles:
     tool_placement: np.ndarray | None = None
     mjcf: bool = False
     base_joints: tuple[JointOutline, ...] = ()
+    base_floats: bool = False
     base_mass: float = 0.0
     base_inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
 
@@ -63,7 +71,8 @@ class ArmTip:
     rotation, translation : ndarray, shapes (3, 3) and (3,)
         The frame in that joint's frame; of a link of the base, in the world.
     chain : int64 ndarray
-        The robot's joints that move it, counted from 0, from base to tip.
+        The numbers of a velocity of the robot that move it, counted from 0, from base to tip: those
+        of its joints, and the six of a floating base.
     """
 
     frame_id: int
@@ -78,7 +87,11 @@ AT_REST = ArmTip(0, 0, np.eye(3), np.zeros(3), np.zeros(0, dtype=np.int64))
 
 
 class Arm:
-    """One robot: a tree of links on a base fixed in the world, with one tip (an arm) or several.
+    """One robot: a tree of links on a base, with one tip (an arm) or several.
+
+    The base is fixed in the world or *floats*.  A velocity of the robot has then, before the rates
+    of its joints, six more numbers: the twist of its base frame, that of the root link, in world
+    axes.  Methods take the motion of the base; it rests where the scene places it if it is None.
 
     Attributes
     ----------
@@ -91,6 +104,16 @@ class Arm:
         in this order, one number a joint (an angle in rad also for continuous joints, metres for
         prismatic ones).
     joint_units : dict joint -> "rad" or "m"
+    floats : bool
+        Whether the base floats.
+    base_pose : ndarray, shape (7,)
+        Of a floating base, as written: position [m], quaternion xyzw.
+    dof : int
+        Numbers of a velocity.
+    velocity_names : tuple of str
+        Of these, in messages: those of the joints after those of a floating base.
+    velocity_units : list of str
+        "rad" or "m", of the coordinates of these.
     tips : dict of str to ArmTip
         By name; that of an arm is "".
     position_limits : ndarray, shape (n, 2)
@@ -117,34 +140,47 @@ class Arm:
             ) from error
         if rotor_inertia is not None:
             # `crba` adds it to the diagonal of M
-            self.model.armature = self.model.armature + rotor_inertia
-        self.dof = self.model.nv
-        self.joint_names = tuple(self.model.names[1:])
-        self.circular = np.array([j.nq == 2 for j in self.model.joints[1:]], dtype=bool)
-        if any(j.nv != 1 for j in self.model.joints[1:]):
+            of_joints = np.zeros(self.model.nv)
+            of_joints[self.model.nv - rotor_inertia.size :] = rotor_inertia
+            self.model.armature = self.model.armature + of_joints
+        self.dof, self.floats = self.model.nv, files.base_floats
+        self.base_pose = _quaternion_pose(_placed_base(files)) if self.floats else np.zeros(7)
+        joints = list(self.model.joints)[self._first_joint :]
+        self.joint_names = tuple(list(self.model.names)[self._first_joint :])
+        self.circular = np.array([j.nq == 2 for j in joints], dtype=bool)
+        if any(j.nv != 1 for j in joints):
             raise ModelError(
                 f"arm '{name}': only revolute, continuous and prismatic joints are supported; "
                 f"lock the others (`lock: {{joint: value}}`)"
             )
-        prismatic = [j.shortname().startswith("JointModelP") for j in self.model.joints[1:]]
+        prismatic = [j.shortname().startswith("JointModelP") for j in joints]
         self.joint_units = {
             joint: "m" if slides else "rad"
             for joint, slides in zip(self.joint_names, prismatic, strict=True)
         }
+        base_names, base_units = (BASE_VELOCITY, BASE_UNITS) if self.floats else ((), [])
+        self.velocity_names = (*base_names, *self.joint_names)
+        self.velocity_units = [*base_units, *self.joint_units.values()]
         self.tips = {tip: self._make_tip(link) for tip, link in files.tips.items()}
-        q_first = np.array([j.idx_q for j in self.model.joints[1:]], dtype=int)
+        q_first = np.array([j.idx_q for j in joints], dtype=int)
         lower = self.model.lowerPositionLimit[q_first]
         upper = self.model.upperPositionLimit[q_first]
         free = self.circular | (lower >= upper)
         self.position_limits = np.column_stack(
             [np.where(free, -np.inf, lower), np.where(free, np.inf, upper)]
         )
-        self.effort_limits = _positive_or_infinite(self.model.effortLimit)
-        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit)
+        base = self.dof - len(self.joint_names)
+        self.effort_limits = _positive_or_infinite(self.model.effortLimit[base:])
+        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit[base:])
 
     def __repr__(self) -> str:
         tips = ", ".join(map(repr, self.files.tips.values()))
-        return f"Arm({self.name!r}, {count_of(self.dof, 'joint')}, tip {tips})"
+        return f"Arm({self.name!r}, {count_of(len(self.joint_names), 'joint')}, tip {tips})"
+
+    @property
+    def _first_joint(self) -> int:
+        """Pinocchio's number of the first joint that is none of a floating base."""
+        return 3 if self.floats else 1
 
     def _make_tip(self, link: str) -> ArmTip:
         frame_id = _frame_id(self.model, link, self.name)
@@ -158,9 +194,13 @@ class Arm:
         )
 
     def chain_of(self, joint: int) -> np.ndarray:
-        """The joints from the base to a joint that Pinocchio counts from 1, counted from 0."""
-        joints = [before - 1 for before in self.model.supports[joint] if before > 0]
-        return np.array(joints, dtype=np.int64)
+        """The joints from the base to a joint that Pinocchio counts from 1, counted from 0.
+
+        They are numbers of a velocity: a floating base has the first six.
+        """
+        joints = (self.model.joints[before] for before in self.model.supports[joint] if before > 0)
+        chain = [of_joint.idx_v + k for of_joint in joints for k in range(of_joint.nv)]
+        return np.array(chain, dtype=np.int64)
 
     @property
     def parents(self) -> np.ndarray:
@@ -173,31 +213,32 @@ class Arm:
         (tip,) = self.tips.values()
         return tip
 
-    def configuration(self, angles: np.ndarray) -> np.ndarray:
-        """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(nv,)``."""
+    def configuration(self, angles: np.ndarray, base: BaseMotion | None = None) -> np.ndarray:
+        """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(n,)``."""
         angles = np.asarray(angles, dtype=float)
-        parts = []
+        parts = list(self.base_pose if base is None else base.pose) if self.floats else []
         for angle, circular in zip(angles, self.circular, strict=True):
             parts += [np.cos(angle), np.sin(angle)] if circular else [angle]
         return np.array(parts)
 
     def levers(self, place: np.ndarray, tip: str = "") -> np.ndarray:
-        """Longest lever arm of each joint on contacts at a tip, shape (n,) [m].
+        """Longest lever arm of each number of a velocity on contacts at a tip, shape (dof,) [m].
 
         The length of the chain from the joint to the contacts at ``place`` (3,) in the tip's frame
         [m], and no less than a tenth of the longest; 1 for prismatic joints, and for those that do
         not move the tip.
         """
         end, levers = self.tips[tip], np.ones(self.dof)
-        if not end.chain.size:
+        joints = [k for k in self.model.supports[end.joint] if k > 0]
+        if not joints:
             return levers
-        ends = [self.model.jointPlacements[int(k) + 1].translation for k in end.chain[1:]]
+        ends = [self.model.jointPlacements[k].translation for k in joints[1:]]
         ends.append(end.translation + end.rotation @ place)
         lengths = np.cumsum(np.linalg.norm(ends, axis=1)[::-1])[::-1]
         if lengths[0] > 0.0:
-            levers[end.chain] = np.maximum(lengths, 0.1 * lengths[0])
-        slides = [self.joint_units[joint] == "m" for joint in self.joint_names]
-        return np.where(slides, 1.0, levers)
+            longest = np.maximum(lengths, 0.1 * lengths[0])
+            levers[end.chain] = np.repeat(longest, [self.model.joints[k].nv for k in joints])
+        return np.where(np.array(self.velocity_units) == "m", 1.0, levers)
 
     def link(self, name: str) -> tuple[int, np.ndarray, np.ndarray]:
         """Joint that carries a link; the link's rotation and origin [m] in its frame."""
@@ -208,13 +249,37 @@ class Arm:
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
-    def terms(self, angles: np.ndarray, velocity: np.ndarray, tip: str = "") -> ArmTerms:
+    def _velocity(self, rates: np.ndarray, base: BaseMotion | None, turn: np.ndarray) -> np.ndarray:
+        """Pinocchio's velocity, for which ``turn`` (6 + n, 6 + n) yields that in world axes."""
+        if not self.floats:
+            return np.array(rates, dtype=float)
+        twist = np.zeros(6) if base is None else base.twist
+        return turn.T @ np.concatenate([twist, rates])
+
+    def _turn(self, q: np.ndarray) -> np.ndarray:
+        """World axes in place of the base's for its angular velocity, shape (dof, dof)."""
+        turn = np.eye(self.dof)
+        if self.floats:
+            turn[3:6, 3:6] = pin.Quaternion(q[3:7]).toRotationMatrix()
+        return turn
+
+    def terms(
+        self,
+        angles: np.ndarray,
+        velocity: np.ndarray,
+        tip: str = "",
+        base: BaseMotion | None = None,
+    ) -> ArmTerms:
         """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
-        q, v = self.configuration(angles), np.array(velocity, dtype=float)
+        q = self.configuration(angles, base)
+        turn = self._turn(q)
+        v = self._velocity(velocity, base, turn)
         model, data = self.model, self.model.createData()
         inertia = pin.crba(model, data, q, pin.Convention.WORLD)
         inertia = np.triu(inertia) + np.triu(inertia, 1).T
         bias = pin.nonLinearEffects(model, data, q, v).copy()
+        if self.floats:
+            inertia, bias = turn @ inertia @ turn.T, turn @ bias
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         motion, axes = self._motion_of(tip, data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         drift = pin.getFrameClassicalAcceleration(model, data, self.tips[tip].frame_id, axes)
@@ -229,11 +294,16 @@ class Arm:
         )
 
     def tip_kinematics(
-        self, angles: np.ndarray, velocity: np.ndarray, tip: str = ""
+        self,
+        angles: np.ndarray,
+        velocity: np.ndarray,
+        tip: str = "",
+        base: BaseMotion | None = None,
     ) -> TipKinematics:
         """Motion of a tip at joint positions [rad or m] and velocities, (n,)."""
-        q, data = self.configuration(angles), self.model.createData()
-        pin.forwardKinematics(self.model, data, q, np.array(velocity, dtype=float))
+        q, data = self.configuration(angles, base), self.model.createData()
+        v = self._velocity(velocity, base, self._turn(q))
+        pin.forwardKinematics(self.model, data, q, v)
         return self._motion_of(tip, data, q)
 
     def _motion_of(self, tip: str, data: pin.Data, q: np.ndarray) -> TipKinematics:
@@ -242,30 +312,34 @@ class Arm:
         axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         pose = pin.updateFramePlacement(model, data, frame)
         twist = pin.getFrameVelocity(model, data, frame, axes).vector
-        jacobian = pin.computeFrameJacobian(model, data, q, frame, axes)
+        jacobian = np.array(pin.computeFrameJacobian(model, data, q, frame, axes))
+        jacobian = jacobian.reshape(6, model.nv)
         return TipKinematics(
             position=pose.translation.copy(),
             rotation=pose.rotation.copy(),
             twist=twist.copy(),
-            jacobian=np.array(jacobian).reshape(6, model.nv),
+            jacobian=jacobian @ self._turn(q).T if self.floats else jacobian,
             joint_names=self.joint_names,
         )
 
-    def tip_pose(self, angles: np.ndarray, tip: str = "") -> np.ndarray:
+    def tip_pose(
+        self, angles: np.ndarray, tip: str = "", base: BaseMotion | None = None
+    ) -> np.ndarray:
         """Homogeneous pose ``X_WT``, shape (4, 4), of a tip in the world."""
-        return self._frames(angles).oMf[self.tips[tip].frame_id].homogeneous.copy()
+        return self._frames(angles, base).oMf[self.tips[tip].frame_id].homogeneous.copy()
 
-    def skeleton(self, angles: np.ndarray) -> np.ndarray:
+    def skeleton(self, angles: np.ndarray, base: BaseMotion | None = None) -> np.ndarray:
         """Origins of all n joints and of the t tips in the world, shape (n + t, 3) [m]."""
-        data = self._frames(angles)
-        joints = [data.oMi[k].translation for k in range(1, self.model.njoints)]
+        data = self._frames(angles, base)
+        first = self._first_joint
+        joints = [data.oMi[k].translation for k in range(first, self.model.njoints)]
         tips = [data.oMf[tip.frame_id].translation for tip in self.tips.values()]
         return np.array([*joints, *tips])
 
-    def _frames(self, angles: np.ndarray) -> pin.Data:
+    def _frames(self, angles: np.ndarray, base: BaseMotion | None) -> pin.Data:
         """Poses of all joints and frames."""
         data = self.model.createData()
-        pin.framesForwardKinematics(self.model, data, self.configuration(angles))
+        pin.framesForwardKinematics(self.model, data, self.configuration(angles, base))
         return data
 
     def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
@@ -283,9 +357,11 @@ class Arm:
         Raises
         ------
         ModelError
-            When a joint turns and slides at once.
+            When a joint turns and slides at once; when the base floats.
         """
         model = self.model
+        if self.floats:
+            raise ModelError("its base floats")
         links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
         turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))
         if np.any(turns & slides):
@@ -353,12 +429,8 @@ def _assemble(
     name: str, files: ArmFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
     """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
-    base = pin.SE3(files.base)
-    if files.mjcf:
-        model, first = mjcf_model(files.urdf)
-        base = base * pin.SE3(first.matrix())
-    else:
-        model = _from_urdf(name, files.urdf)
+    base = _placed_base(files)
+    model = mjcf_model(files.urdf)[0] if files.mjcf else _from_urdf(name, files.urdf)
     geometry, tool_geometry = pin.GeometryModel(), pin.GeometryModel()
     if kind is not None:
         geometry = _geometry(model, files.urdf, files.package_dirs, kind, files.mjcf)
@@ -385,13 +457,31 @@ def _assemble(
     below, foot, place = _moving_base(files, base)
     model, geometry = pin.appendModel(below, model, pin.GeometryModel(), geometry, foot, place)
     if files.mjcf:  # appending leaves it out
-        model.armature = np.array([armature.get(joint, 0.0) for joint in model.names[1:]])
+        of_joints = [armature.get(joint, 0.0) for joint in model.names[1:]]
+        sizes = [joint.nv for joint in model.joints[1:]]
+        model.armature = np.repeat(of_joints, sizes)
     return model, geometry
+
+
+def _placed_base(files: ArmFiles) -> pin.SE3:
+    """Pose of the root link in the world; of one that moves, at zero positions."""
+    base = pin.SE3(files.base)
+    return base * pin.SE3(mjcf_model(files.urdf)[1].matrix()) if files.mjcf else base
+
+
+def _quaternion_pose(pose: pin.SE3) -> np.ndarray:
+    """Position [m] and quaternion xyzw of a pose, shape (7,)."""
+    return np.concatenate([pose.translation, matrix_to_quaternion(pose.rotation)])
 
 
 def _moving_base(files: ArmFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE3]:
     """The joints below a robot's root link, the frame that carries it, and its pose there."""
     model, carrier, place = pin.Model(), 0, base
+    if files.base_floats:  # its configuration is its pose in the world
+        place = _IDENTITY
+        for kind in (pin.JointModelTranslation(), pin.JointModelSpherical()):
+            name = "base_shift" if carrier == 0 else "base_turn"
+            carrier = model.addJoint(carrier, kind, place, name)
     for joint in files.base_joints:
         axis = "XYZ"[int(np.argmax(joint.axis))]
         kind = getattr(pin, f"JointModel{'P' if joint.kind == 'prismatic' else 'R'}{axis}")
@@ -400,7 +490,7 @@ def _moving_base(files: ArmFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE
             for x in (joint.effort_limit, joint.velocity_limit, joint.lower, joint.upper)
         )
         carrier, place = model.addJoint(carrier, kind(), place, joint.name, *limits), _IDENTITY
-    if not files.base_joints:
+    if not carrier:
         return model, 0, base
     added = pin.Inertia(files.base_mass, np.zeros(3), files.base_inertia)
     model.appendBodyToJoint(carrier, added, _IDENTITY)

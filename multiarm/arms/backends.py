@@ -67,7 +67,10 @@ class ArmBackends:
     link_pointers : int64 ndarray, shape (links, 3)
         Every :class:`multiarm.arms.terms.LinkAddresses`; valid while this lives.
     q_slots : int64 ndarray, shape (joints,)
-        Index of each joint in Pinocchio's configuration; -1 for those of compiled arms.
+        Index of each joint in Pinocchio's configuration; -1 for those of compiled arms and of
+        floating bases.
+    base_slots : int64 ndarray, shape (bases,)
+        Index there of the pose of every floating base.
     configuration : int
         Size of that configuration.
     """
@@ -100,6 +103,7 @@ class ArmBackends:
                 self._compiled.want_gravity_torque()
         first_joints = np.cumsum([0, *(arm.dof for arm in in_order)])
         self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
+        base_slots: list[int] = []
         self.configuration = 0
         of_pinocchio = [k for k, name in enumerate(names) if self.by_arm[name] == "pinocchio"]
         for places in _neighbours(of_pinocchio):
@@ -107,8 +111,11 @@ class ArmBackends:
             members = [in_order[place] for place in places]
             group = ArmGroup(members, places[0], start, gravity, with_gravity_torque)
             self._groups.append(group)
-            self.q_slots[group.joints] = group.q_slots + self.configuration
+            slots = group.q_slots
+            self.q_slots[group.joints] = np.where(slots < 0, -1, slots + self.configuration)
+            base_slots += [slot + self.configuration for slot in group.base_slots]
             self.configuration += group.model.nq
+        self.base_slots = np.array(base_slots, dtype=np.int64)
         self._fill_tables()
 
     def copy(self) -> ArmBackends:
@@ -121,18 +128,24 @@ class ArmBackends:
         return twin
 
     def connect(
-        self, angles: np.ndarray, rates: np.ndarray, q: np.ndarray, bodies: np.ndarray, status: Any
+        self,
+        angles: np.ndarray,
+        rates: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        bodies: np.ndarray,
+        status: Any,
     ) -> ArmFunctions:
         """Let all arms read positions and velocities, and write the motion of their last links.
 
         Parameters
         ----------
-        angles, rates, q, bodies : ndarray
+        angles, rates, q, v, bodies : ndarray
             See :class:`multiarm.arms.terms.ArmState`.
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        self._state = ArmState(angles, rates, q, bodies)
+        self._state = ArmState(angles, rates, q, v, bodies)
         addresses = {} if self._compiled is None else self._compiled.connect(self._state)
         callbacks: dict[str, PythonCallback] = {}
         if self._groups:
@@ -222,6 +235,10 @@ class ArmGroup:
         Number of its first arm among all.
     joints, numbers : slice
         Its joints in the stacked vectors, and its part of Pinocchio's configuration.
+    q_slots : int64 ndarray
+        As of the ``ArmBackends``, in this part.
+    base_slots : list of int
+        The same of floating bases.
     pointers : int64 ndarray, shape (arms, 5)
         Rows of ``ArmBackends.pointers``.
     """
@@ -244,8 +261,17 @@ class ArmGroup:
         self.joints = slice(start[0], start[0] + model.nv)
         self.numbers = slice(start[1], start[1] + model.nq)
         first_dof = np.cumsum([0] + [arm.dof for arm in arms])
-        self.q_slots = np.array([j.idx_q for j in model.joints[1:]], dtype=np.int64)
-        if not np.array_equal([j.idx_v for j in model.joints[1:]], np.arange(model.nv)):
+        self._joints_before = np.cumsum([0] + [arm.model.njoints - 1 for arm in arms])
+        slots: list[int] = []
+        numbers: list[int] = []
+        for joint in model.joints[1:]:
+            numbers += range(joint.idx_v, joint.idx_v + joint.nv)
+            slots += [joint.idx_q] if joint.nv == 1 else [-1] * joint.nv
+        self.q_slots = np.array(slots, dtype=np.int64)
+        first_of_arms = [model.joints[int(k) + 1].idx_q for k in self._joints_before[:-1]]
+        pairs = zip(arms, first_of_arms, strict=True)
+        self.base_slots = [slot for arm, slot in pairs if arm.floats]
+        if numbers != list(range(model.nv)):
             raise ModelError("Pinocchio did not number the joints of several arms in order")
         self.pointers = np.zeros((len(arms), ADDRESSES), dtype=np.int64)
         self._first_dof = first_dof
@@ -262,7 +288,7 @@ class ArmGroup:
     def bind(self, state: ArmState) -> Callable[[], None]:
         """Function without arguments that updates all terms from positions and velocities."""
         model, data = self.model, self.data
-        q, v = state.q[self.numbers], state.rates[self.joints]
+        q, v = state.q[self.numbers], state.v[self.joints]
         crba, bias, world = pin.crba, pin.nonLinearEffects, pin.Convention.WORLD
         gravity_torque = pin.computeGeneralizedGravity
 
@@ -281,7 +307,7 @@ class ArmGroup:
     def bind_coriolis(self, state: ArmState, matrices: np.ndarray) -> Callable[[], None]:
         """Function that updates the matrices of Coriolis forces; writes where these are."""
         model, data, n = self.model, self.model.createData(), self.model.nv
-        q, v = state.q[self.numbers], state.rates[self.joints]
+        q, v = state.q[self.numbers], state.v[self.joints]
         run = pin.computeCoriolisMatrix
 
         def update() -> None:
@@ -312,7 +338,7 @@ class ArmGroup:
 
     def _joint(self, arm: int, joint: int) -> int:
         """Number in the group's model of a joint of its arm number ``arm``; 0: the world."""
-        return int(self._first_dof[arm]) + joint if joint > 0 else 0
+        return int(self._joints_before[arm]) + joint if joint > 0 else 0
 
     def potential_energy(self, state: ArmState) -> float:
         """Potential energy of all links [J], zero at the world's origin."""

@@ -106,10 +106,11 @@ class TipKinematics:
     twist : ndarray, shape (6,)
         Velocity of the tip's origin [m/s] and angular velocity [rad/s], world axes.
     jacobian : ndarray, shape (6, n)
-        ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.
+        ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.  Of a robot with a
+        floating base (6, 6 + n): the twist of the base stands before the joint velocities.
     joint_names : tuple of str
-        The joints of the columns, from base to tip: those that the arm moves.  A locked joint, such
-        as the trunk of a robot with several arms, has none.
+        The joints of the last n columns, from base to tip: those that the arm moves.  A locked
+        joint, such as the trunk of a robot with several arms, has none.
     """
 
     position: np.ndarray
@@ -126,8 +127,8 @@ class ArmState(NamedTuple):
 
     angles, rates : (joints,)
         Positions and velocities of the joints of all arms.
-    q : (numbers,)
-        The same positions as Pinocchio's configuration of its arms.
+    q, v : (numbers,), (joints,)
+        The same as configuration and velocity of Pinocchio.
     bodies : (links, 24)
         Motion of the links of ``ArmBackends.links``, see
         :class:`multiarm.contacts.motion.BodyMotion`.
@@ -136,6 +137,7 @@ class ArmState(NamedTuple):
     angles: np.ndarray
     rates: np.ndarray
     q: np.ndarray
+    v: np.ndarray
     bodies: np.ndarray
 
 

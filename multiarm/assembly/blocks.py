@@ -1,6 +1,6 @@
 r"""The blocks of a scene: what the equations of motion eliminate one by one.
 
-On a base that does not move, the inertia of a robot is block diagonal by the branches that begin at
+On a base that is fixed, the inertia of a robot is block diagonal by the branches that begin at
 its base:
 
 .. math:: M = \operatorname{blkdiag}(M_1, \dots, M_b), \qquad
@@ -81,6 +81,8 @@ def branch_bounds(
     arm: Arm, connections: Iterable[Connection], couplings: Iterable[JointRow]
 ) -> list[int]:
     """First joint of every part that shares no inertia and no row with others, and last n."""
+    if arm.floats:  # its inertia joins everything
+        return [0, arm.dof]
     groups = [joints_of_connection(arm, connection) for connection in connections]
     groups += [[coupling.joint, coupling.leader] for coupling in couplings]
     groups += [[joint, parent] for joint, parent in enumerate(arm.parents) if parent >= 0]

@@ -31,11 +31,14 @@ class JointLaws:
         Of joints that copy others.
     dry : mapping robot -> (n,), optional
         Dry friction of the joints [N m, N].
+    of_bases : mapping robot -> int
+        How many numbers of a floating base stand before the joints.
     """
 
     limits: Mapping[str, Mapping[str, tuple[float, float]]]
     couplings: Mapping[str, list[JointRow]]
     dry: Mapping[str, np.ndarray] | None
+    of_bases: Mapping[str, int]
 
 
 def unilateral_constraints(
@@ -94,10 +97,12 @@ def joints_with_rows(scene: Scene, laws: JointLaws) -> dict[str, set[int]]:
     joints = {}
     for robot, of_joints in laws.limits.items():
         ends = [_range(scene, robot, *limit)[0] for limit in of_joints.items()]
-        joints[robot] = set(np.flatnonzero(np.isfinite(ends).any(axis=1)).tolist())
+        before = laws.of_bases[robot]
+        ranged = before + np.flatnonzero(np.isfinite(ends).any(axis=1))
+        joints[robot] = set(ranged.tolist())
         joints[robot] |= {coupling.joint for coupling in laws.couplings[robot]}
         if laws.dry is not None:
-            joints[robot] |= set(np.flatnonzero(laws.dry[robot] > 0.0).tolist())
+            joints[robot] |= set((before + np.flatnonzero(laws.dry[robot] > 0.0)).tolist())
     return joints
 
 
@@ -120,12 +125,15 @@ def _add_joint_rows(
     robot = block.robot
     limits, dry = list(laws.limits[robot].items()), laws.dry
     rows.start(block.owner, robot)
+    before = laws.of_bases[robot]
     for number in block.joints:
-        joint_name, limit = limits[number]
+        if number < before:
+            continue
+        joint_name, limit = limits[number - before]
         record, joint = JointRow(joint_name, number), first + number - block.joints.start
         rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
-        if dry is not None and dry[robot][number] > 0.0:
-            rows.add_dry_friction(record, joint, float(dry[robot][number]))
+        if dry is not None and dry[robot][number - before] > 0.0:
+            rows.add_dry_friction(record, joint, float(dry[robot][number - before]))
     for coupling in laws.couplings[robot]:
         if coupling.joint in block.joints:
             rows.add_coupling(coupling)

@@ -26,7 +26,7 @@ from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
@@ -123,12 +123,13 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
 def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
     """The rows of a robot's joints that copy others."""
     names = list(robot.joint_names)
+    first = TWIST if robot.base_floats else 0
     return [
         JointRow(
             f"{coupling.joint} copies {coupling.leader}",
-            names.index(coupling.joint),
+            first + names.index(coupling.joint),
             bound=coupling.offset,
-            leader=names.index(coupling.leader),
+            leader=first + names.index(coupling.leader),
             multiplier=coupling.multiplier,
         )
         for coupling in robot.mimic
@@ -187,6 +188,7 @@ def _layout(
         owners=tuple(owners),
         first_contact=_bounds([len(records[name]) for name in owners]),
         block_of=tuple(of_owners),
+        bases=tuple(i for i, arm in enumerate(robots.arms.values()) if arm.floats),
     )
 
 
@@ -279,7 +281,8 @@ def _joint_laws(
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    return JointLaws(limits, couplings, dry)
+    of_bases = {name: arm.dof - len(arm.joint_names) for name, arm in robots.arms.items()}
+    return JointLaws(limits, couplings, dry, of_bases)
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

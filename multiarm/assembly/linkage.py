@@ -106,7 +106,7 @@ class Linkage:
         self._limits = limits
         self.size = scene_size(data) if size is None else size
         self.joints = np.concatenate([np.arange(*work.first_joint[i : i + 2]) for i in arms])
-        units = np.array([u for arm in data.model.arms.values() for u in arm.joint_units.values()])
+        units = np.array(data.model.joint_units)
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
@@ -269,6 +269,8 @@ def _places_of_bases(data: Data) -> np.ndarray:
         for j in slides:
             axis = np.array(arm.files.base_joints[j].axis)
             places[i] += arm.files.base[:3, :3] @ axis * positions[j]
+    for i, pose in zip(model.layout.bases, data.arrays.state.base_poses, strict=True):
+        places[i] = pose[:3]
     return places
 
 
@@ -289,7 +291,7 @@ def _largest_by_arm(data: Data, values: np.ndarray) -> dict[str, float]:
 
 def joints_at_limit(data: Data) -> tuple[str, ...]:
     """Joints at one of their limits in the data."""
-    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    limits = data.model.position_limits
     near = np.min(np.abs(limits - data.arrays.state.joint_positions[:, None]), axis=1) <= 1e-9
     return tuple(name for name, at in zip(data.model.joint_names, near, strict=True) if at)
 

@@ -19,7 +19,7 @@ from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.control.program import ControlProgram
-from multiarm.dynamics.arrays import COUPLED, Constants, FreeComponents, TipFrame
+from multiarm.dynamics.arrays import COUPLED, Bases, Constants, FreeComponents, TipFrame
 from multiarm.dynamics.connections import BodyTable, Connection, Connections
 from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
@@ -176,8 +176,9 @@ def _constants(
 ) -> Constants:
     return Constants(
         q_slots=backends.q_slots,
-        circular=np.concatenate([arm.circular for arm in bodies.arms.values()]).astype(np.int64),
+        circular=_circular(bodies.arms),
         first_joint=np.array(rows.layout.first_joint, dtype=np.int64),
+        bases=_bases(rows.layout, backends),
         links=bodies.links(),
         connections=connections,
         object_mass=float(scene.object.mass),
@@ -193,6 +194,20 @@ def _constants(
         **row_constants(rows.packed.table, rows.layout),
         **effect_constants(effects),
     )
+
+
+def _bases(layout: Layout, backends: ArmBackends) -> Bases:
+    """``Constants.bases``."""
+    blocks = [layout.blocks_of(i)[0] for i in layout.bases]
+    robots = np.array(layout.bases, dtype=np.int64)
+    return Bases(robots, np.array(blocks, dtype=np.int64), backends.base_slots)
+
+
+def _circular(arms: Mapping[str, Arm]) -> np.ndarray:
+    """``Constants.circular``."""
+    bases = {name: np.zeros(arm.dof - len(arm.joint_names)) for name, arm in arms.items()}
+    parts = [np.append(bases[name], arm.circular) for name, arm in arms.items()]
+    return np.concatenate(parts).astype(np.int64)
 
 
 def _frame_constants(

@@ -72,6 +72,14 @@ def find_postures(
         where, posture = posture_of(scene, name)
         if posture not in (None, SOLVE):
             continue
+        if arms[name].floats:
+            if posture == SOLVE:
+                problem = (
+                    "'solve' finds no postures of a robot whose base floats; write the posture, "
+                    "and where the base is"
+                )
+                faults.append(fault_at(where, problem))
+            continue
         joints = _joints_of(scene, name)
         placed = {number: joint for number, joint in joints.items() if joint.at is not None}
         places = ", ".join(f"$.joints[{number}].at" for number in placed or joints)

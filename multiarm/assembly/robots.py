@@ -140,6 +140,7 @@ def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> ArmFiles:
         base=spec.base.matrix(),
         tips=resolved.tips,
         base_joints=resolved.base_joints,
+        base_floats=resolved.base_floats,
         base_mass=resolved.base_mass,
         base_inertia=resolved.base_inertia,
         locked=resolved.locked,

@@ -114,7 +114,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         gaps_left=gaps_by_arm(data),
         joint_change=float(np.max(moved)),
         joint_changes={
-            arm: float(np.max(change)) for arm, change in layout.split_joints(moved).items()
+            arm: float(np.max(moved[layout.joints_of(i)])) for i, arm in enumerate(layout.names)
         },
         object_held=held,
         object_shift=float(np.linalg.norm(shift[:3])),
@@ -133,14 +133,19 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
 def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     """The start as written in the scene, before it is assembled."""
     pose = scene.object.pose.matrix()
-    position = [
-        pose[:3, 3],
-        matrix_to_quaternion(pose[:3, :3]),
-        *robots.postures.values(),
-    ]
-    twist = np.zeros(6) if scene.object.twist is None else np.array(scene.object.twist)
-    velocity = [twist, *(arm.velocity for arm in robots.resolved.values())]
-    return State(np.concatenate(position), np.concatenate(velocity), layout)
+    state = State(np.zeros(layout.nq), np.zeros(layout.nv), layout)
+    state.object_position[:] = pose[:3, 3]
+    state.object_quaternion_xyzw[:] = matrix_to_quaternion(pose[:3, :3])
+    if scene.object.twist is not None:
+        state.object_twist[:] = scene.object.twist
+    for name, robot in robots.resolved.items():
+        state.joint_positions[name][:] = robots.postures[name]
+        state.joint_velocities[name][:] = robot.velocity
+    for name, base in state.bases.items():
+        base.pose[:] = robots.arms[name].base_pose
+        written = scene.robots[name].base.twist
+        base.twist[:] = np.zeros(6) if written is None else written
+    return state
 
 
 def closed_at_start(data: Data) -> Data:
@@ -323,7 +328,7 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
 
 def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
     """Limits (n, 2) of all joints, and the names of joints outside theirs, which get no limits."""
-    limits = np.vstack([arm.position_limits for arm in data.model.arms.values()])
+    limits = data.model.position_limits.copy()
     angles = data.model.layout.joint_positions(written.position)
     out = (angles < limits[:, 0]) | (angles > limits[:, 1])
     limits[out] = -np.inf, np.inf

@@ -22,6 +22,7 @@ from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.recorded import recorded_program
 from multiarm.control.user_control import Control, function_program, user_program
 from multiarm.dynamics.held_control import Sampling
+from multiarm.errors import ControlError
 from multiarm.scene.control import (
     ComputedTorqueControl,
     ConstantControl,
@@ -49,6 +50,35 @@ PROGRAMS: dict[type[ControlKind], Callable[[Any, ControlContext], ControlProgram
 """What builds the laws of each kind of control; kinds without an entry have none."""
 
 
+def _check_bases(control: ControlKind, context: ControlContext) -> None:
+    """Refuse controls that rest on bases, where one floats.
+
+    They carry weight with joint torques, or follow paths of the object with the joints alone.
+
+    Raises
+    ------
+    ControlError
+    """
+    floating = [name for name, arm in context.arms.items() if arm.floats]
+    holds = isinstance(control, HarmonicControl) and control.hold
+    carries = (control.compensates_gravity or holds) and context.scene.gravity is not None
+    of_object = isinstance(control, ComputedTorqueControl | ObjectImpedanceControl)
+    if not floating or not (carries or of_object or control.object_waypoints):
+        return
+    what = f"kind '{control.kind}'"
+    if control.object_waypoints and not of_object:
+        what = "'path'"
+    elif holds:
+        what = "'hold: true'"
+    elif isinstance(control, JointPDControl | RecordedControl):
+        what = "'gravity_compensation: true'"
+    raise ControlError(
+        f"control: {what} is not computed with a base that floats, that of robot '{floating[0]}', "
+        "since no drive holds it; control the joints alone: 'joint_pd' with 'gravity_compensation: "
+        "false', 'harmonic' with 'hold: false', 'constant', 'recorded', or a function in Python"
+    )
+
+
 def control_program(context: ControlContext) -> ControlProgram:
     """The control of a scene.
 
@@ -62,6 +92,7 @@ def control_program(context: ControlContext) -> ControlProgram:
         When a user class cannot be used.
     """
     control = context.scene.control
+    _check_bases(control, context)
     kind = next((kind for kind in type(control).__mro__ if kind in PROGRAMS), None)
     program = ControlProgram() if kind is None else PROGRAMS[kind](control, context)
     if not isinstance(control, SampledControl) or control.sample_time is None:

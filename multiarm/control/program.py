@@ -61,10 +61,14 @@ class ControlContext:
         return self.start.layout.joint_positions(self.start.position)
 
     def stacked(self, values: Any) -> np.ndarray:
-        """One number for every joint of all arms, from a scene's gain, table or list."""
-        return np.concatenate(
-            [gain_vector(values, name, arm.joint_names) for name, arm in self.arms.items()]
-        )
+        """One number for every joint of all arms, from a scene's gain, table or list.
+
+        Those of floating bases, which have no drives, are zero.
+        """
+        numbers, layout = np.zeros(self.data.model.layout.joints), self.data.model.layout
+        for i, (name, arm) in enumerate(self.arms.items()):
+            numbers[layout.tree_joints(i)] = gain_vector(values, name, arm.joint_names)
+        return numbers
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,8 @@ def table_point(t, table, row, joint):
 def recorded_program(control: RecordedControl, context: ControlContext) -> ControlProgram:
     """The law that plays a table back."""
     names, interpolation = context.joint_names, control.interpolation
-    rows = read_table(control, names)
+    driven = [f"{arm}/{joint}" for arm in context.arms for joint in context.arms[arm].joint_names]
+    rows = read_table(control, driven)
     times, zero = rows.times, control.outside == "zero"
     span = ControlSpan(
         f"the table {control.file.name}",

@@ -73,6 +73,14 @@ class FreeComponents(NamedTuple):
     coordinate: Ints1  # (m,) its coordinate among those of the relative motion
 
 
+class Bases(NamedTuple):
+    """The B floating bases of robots."""
+
+    robot: Ints1  # (B,)
+    block: Ints1  # (B,)
+    slot: Ints1  # (B,) of its pose in Pinocchio's configuration: position, quaternion xyzw
+
+
 class TipFrame(NamedTuple):
     """The frame of a tip in the link that carries it."""
 
@@ -86,11 +94,12 @@ open_tip_frame = row_of(TipFrame)
 class Constants(NamedTuple):
     """Constants of all evaluations of a scene."""
 
-    # of each joint: index in Pinocchio's configuration, -1 for compiled arms; whether cosine and
-    # sine stand there
+    # of each joint: index in Pinocchio's configuration, -1 for compiled arms and floating bases;
+    # whether cosine and sine stand there
     q_slots: Ints1
     circular: Ints1
     first_joint: Ints1  # (R + 1,) of each robot; last the number of all joints
+    bases: Bases
     contacts: ContactTable  # geometry on links is in the frame of the joint that moves the link
     links: Links
     connections: Connections  # the C owners of rows

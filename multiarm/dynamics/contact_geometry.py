@@ -245,7 +245,8 @@ def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndar
         X[:3, 3], twist = state.object_position, state.object_twist
     if body.is_link:
         robot, positions, rates = body.robot, state.joint_positions, state.joint_velocities
-        tip = model.arms[robot].tip_kinematics(positions[robot], rates[robot], body.tip)
+        base, arm = state.bases.get(robot), model.arms[robot]
+        tip = arm.tip_kinematics(positions[robot], rates[robot], body.tip, base)
         X[:3, :3], X[:3, 3], twist = tip.rotation, tip.position, tip.twist
     return X, twist
 

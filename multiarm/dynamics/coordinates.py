@@ -1,11 +1,16 @@
 r"""The configuration manifold, and the chart in which the integrator moves on it.
 
-A configuration is F poses of floating frames and n numbers, the joint positions.  Displacements
-:math:`u` are in the order of a velocity (:mod:`multiarm.dynamics.layout`), in world axes:
+A configuration is F poses of floating frames, poses of the floating bases of robots, and n numbers,
+the joint positions.  Displacements :math:`u` are in the order of a velocity
+(:mod:`multiarm.dynamics.layout`), in world axes:
 
 .. math::
     x_f \oplus u = x_f + \delta_f, \qquad R_f \oplus u = \exp(\theta_f) R_f, \qquad
     q \oplus u = q + \delta_q, \qquad u = (\delta_f, \theta_f, \ldots, \delta_q).
+
+Of the n numbers, the first six of a robot with a floating base are the displacement from the pose
+of this base, which is always zero: :math:`x \oplus u` moves the pose by them.  They stand in the
+chart, so that positions, velocities and forces of robots have the same indices.
 
 Within a step the orientations are :math:`R_f = \exp(\theta_f) R_{0f}` with those at the beginning
 of the step.  The *base* of the chart is a configuration with these orientations and with positions
@@ -42,48 +47,73 @@ from multiarm.spatial import rotation_between, write_chart_rate
 
 
 @plain
-def retract_into(frames, start, step, displacement, configuration):
+def retract_into(frames, bases, start, step, displacement, configuration):
     """Write ``start (+) step * displacement`` into ``configuration``, which may be ``start``.
 
     Parameters
     ----------
     frames : int
         Number of floating frames, F.
-    start, configuration : ndarray, shape (7 F + n,)
+    bases : int64 ndarray, shape (B,)
+        The first of the six numbers of each floating base, among the n.
+    start, configuration : ndarray, shape (7 F + 7 B + n,)
     step : float
     displacement : ndarray, shape (6 F + n,), or longer
     """
     for f in range(frames):
-        at, by = 7 * f, 6 * f
-        turn = (
-            step * displacement[by + 3],
-            step * displacement[by + 4],
-            step * displacement[by + 5],
-        )
-        for k in range(3):
-            configuration[at + k] = start[at + k] + step * displacement[by + k]
-        retract_quaternion(start[at + 3 : at + 7], turn, configuration[at + 3 : at + 7])
-    for j in range(configuration.size - 7 * frames):
+        retract_pose(7 * f, 6 * f, start, step, displacement, configuration)
+    retract_joints(frames, bases, start, step, displacement, configuration)
+
+
+@plain
+def retract_joints(frames, bases, start, step, displacement, configuration):
+    """:func:`retract_into` for the robots alone: the other frames stay."""
+    first = 7 * (frames + bases.size)
+    for j in range(configuration.size - first):
         moved = step * displacement[6 * frames + j]
-        configuration[7 * frames + j] = start[7 * frames + j] + moved
+        configuration[first + j] = start[first + j] + moved
+    for b in range(bases.size):
+        by = 6 * frames + bases[b]
+        retract_pose(7 * (frames + b), by, start, step, displacement, configuration)
+        for k in range(6):
+            configuration[first + bases[b] + k] = 0.0
+
+
+@plain
+def retract_pose(at, by, start, step, displacement, configuration):
+    """Write the pose from ``at`` on, moved by the six numbers from ``by`` on."""
+    turn = (
+        step * displacement[by + 3],
+        step * displacement[by + 4],
+        step * displacement[by + 5],
+    )
+    for k in range(3):
+        configuration[at + k] = start[at + k] + step * displacement[by + k]
+    retract_quaternion(start[at + 3 : at + 7], turn, configuration[at + 3 : at + 7])
 
 
 def retract(layout: Layout, start: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """``start (+) displacement``, a new configuration."""
     configuration = np.empty_like(start)
-    retract_into(layout.frames, start, 1.0, displacement, configuration)
+    retract_into(layout.frames, bases_of(layout), start, 1.0, displacement, configuration)
     return configuration
 
 
 def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The displacement u with ``start (+) u = end``, each frame turned the shorter way round."""
     displacement = np.empty(layout.nv)
-    poses, there = layout.poses(start), layout.poses(end)
-    for twist, pose, other in zip(layout.twists(displacement), poses, there, strict=True):
-        twist[:3], twist[3:] = other[:3] - pose[:3], rotation_difference(pose[3:], other[3:])
     joints = layout.joint_positions(end) - layout.joint_positions(start)
     displacement[layout.of_joints] = joints
+    twists = [*layout.twists(displacement), *layout.base_twists(displacement)]
+    poses, there = ([*layout.poses(place), *layout.base_poses(place)] for place in (start, end))
+    for twist, pose, other in zip(twists, poses, there, strict=True):
+        twist[:3], twist[3:] = other[:3] - pose[:3], rotation_difference(pose[3:], other[3:])
     return displacement
+
+
+def bases_of(layout: Layout) -> np.ndarray:
+    """The first number of each floating base, as kernels have them, int64 (B,)."""
+    return np.array(layout.first_of_bases, dtype=np.int64)
 
 
 # --- columns of derivatives -----------------------------------------------------------------------
@@ -202,16 +232,17 @@ def place_in_chart(columns, places, column):
 
 
 @plain
-def read_chart(frames, z, base, configuration):
+def read_chart(frames, bases, z, base, configuration):
     """Write the configuration of a chart's vector."""
-    retract_into(frames, base, 1.0, z, configuration)
+    retract_into(frames, bases, base, 1.0, z, configuration)
 
 
 @plain
 def load_chart(z, base, data):
     """Write the state of a chart into the data, without the works."""
     places = chart_places(data)
-    read_chart(data.state.poses.shape[0], z, base, data.state.configuration)
+    state = data.state
+    read_chart(state.poses.shape[0], state.bases, z, base, state.configuration)
     for k in range(data.state.velocity.size):
         data.state.velocity[k] = z[places.velocity + k]
     for k in range(data.effects.states.size):
@@ -226,6 +257,9 @@ def write_new_chart(data, base, z):
             z[6 * f + 3 + k] = 0.0
         for k in range(3, 7):
             base[7 * f + k] = data.state.poses[f, k]
+    for b in range(data.state.bases.size):
+        for k in range(3, 7):
+            base[7 * (data.state.poses.shape[0] + b) + k] = data.state.base_poses[b, k]
     write_all_but_turns(data, z)
 
 
@@ -237,17 +271,29 @@ def write_chart(data, base, z):
         for k in range(3):
             z[6 * f + 3 + k] = turn[k]
     write_all_but_turns(data, z)
+    frames, places = data.state.poses.shape[0], chart_places(data)
+    for b in range(data.state.bases.size):
+        before = base[7 * (frames + b) + 3 : 7 * (frames + b) + 7]
+        turn = rotation_between(before, data.state.base_poses[b, 3:7])
+        for k in range(3):
+            z[places.joints + data.state.bases[b] + 3 + k] = turn[k]
 
 
 @plain
 def write_all_but_turns(data, z):
-    """Copy what the state and a chart's vector share: all but how the frames are turned."""
+    """Copy what the state and a chart's vector share: all but how the frames are turned.
+
+    Bases are as at the beginning of a chart.
+    """
     places = chart_places(data)
     for f in range(data.state.poses.shape[0]):
         for k in range(3):
             z[6 * f + k] = data.state.poses[f, k]
     for j in range(data.state.joint_positions.size):
         z[places.joints + j] = data.state.joint_positions[j]
+    for b in range(data.state.bases.size):
+        for k in range(3):
+            z[places.joints + data.state.bases[b] + k] = data.state.base_poses[b, k]
     for k in range(data.state.velocity.size):
         z[places.velocity + k] = data.state.velocity[k]
     for k in range(data.effects.states.size):
@@ -269,6 +315,10 @@ def write_chart_slope(z, data, slope):
         )
     for j in range(data.state.joint_rates.size):
         slope[places.joints + j] = data.state.joint_rates[j]
+    for b in range(data.state.bases.size):
+        at, first = places.joints + data.state.bases[b] + 3, data.state.bases[b] + 3
+        omega = data.state.joint_rates[first : first + 3]
+        write_chart_rate(z[at : at + 3], omega, slope[at : at + 3])
     for k in range(data.accelerations.a.size):
         slope[places.velocity + k] = data.accelerations.a[k]
     for k in range(data.effects.state_rates.size):

@@ -117,6 +117,7 @@ class SharedData:
             v.state.joint_positions,
             v.state.joint_rates,
             v.bodies.pinocchio_configuration,
+            v.bodies.pinocchio_velocity,
             v.bodies.links,
             v.status,
         )

@@ -263,9 +263,14 @@ def _redundant(data: Evaluated, connection: str) -> tuple[str, ...]:
 
 
 def _hold(data: Evaluated, connection: str) -> _Hold | None:
-    """Contact wrenches and their joint torques; None when a contact has no normal."""
+    """Contact wrenches and their joint torques; None when a contact has no normal.
+
+    None too where the base floats: what moves with it is not said in terms of joints.
+    """
     layout, pair = data.model.layout, data.model.connections[connection]
     i, arm = layout.names.index(pair.robot), data.model.arms[pair.robot]
+    if arm.floats:
+        return None
     d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))
     first = layout.contacts_of_robot(i).start
     W = robot_matrix(data, i)[:, r.start - first : r.stop - first]

@@ -59,6 +59,7 @@ from multiarm.dynamics.coordinates import (
 )
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import TWIST, Layout
+from multiarm.dynamics.model import require_no_floating_base
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
@@ -188,6 +189,7 @@ def equation_work(
     """
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
+        require_no_floating_base(data.model, "there are no derivatives by its pose yet")
         structures = structures_of_blocks(data.model.arms.values(), data.model.layout)
         links = arm_links(structures, data.model.constants.gravity)
         if not (masses and weights):

@@ -130,7 +130,7 @@ def kinematics(address, size, _a, _b):
     """Compute what :func:`update_kinematics` describes."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    arm_terms(model, data)
+    arm_terms(model, data, work)
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)
@@ -154,6 +154,7 @@ def right_hand_sides(address, size, alpha, beta):
     status, power = passive_forces(struct, model, data, work), 0.0
     if status == OK and model.control.shape[0] > 0:
         status = command_torques(struct, model, data, work)
+        clear_torques_of_bases(data)
         if status == OK:
             status = call_effects(model.passive_end, model.actuator_end, struct, model, data)
         power = add_torques(model, data)
@@ -163,6 +164,14 @@ def right_hand_sides(address, size, alpha, beta):
         return status
     drift_terms(data, alpha, beta)
     return CALLBACK_FAILED if data.status.failed else OK
+
+
+@inlined
+def clear_torques_of_bases(data):
+    """Floating bases have no drives, whatever a law writes."""
+    for b in range(data.state.bases.size):
+        for k in range(6):
+            data.control.torque[data.state.bases[b] + k] = 0.0
 
 
 @inlined

@@ -36,7 +36,7 @@ from multiarm.dynamics.diagnosis import lost_motions
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
-from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
@@ -162,6 +162,9 @@ class Evaluation:
     joint_accelerations, joint_torques : mapping arm or robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]; torques of the drives [N m, N]: those of the control, after limits and
         lag.
+    base_accelerations : mapping robot -> ndarray, shape (6,)
+        Of robots whose base floats: acceleration of the base frame's origin and angular
+        acceleration, world axes.
     control_power : mapping arm -> float
         Power of these torques, the sum of torque times joint velocity [W]; empty without control.
     contact_forces : mapping arm or connection -> ndarray, shape (N_i,)
@@ -198,6 +201,7 @@ class Evaluation:
     state: State
     object_acceleration: np.ndarray
     joint_accelerations: Mapping[str, np.ndarray]
+    base_accelerations: Mapping[str, np.ndarray]
     joint_torques: Mapping[str, np.ndarray]
     control_power: Mapping[str, float]
     contact_forces: Mapping[str, np.ndarray]
@@ -246,7 +250,15 @@ class Evaluation:
     @property
     def accelerations(self) -> np.ndarray:
         """Of the object and of all joints, in the order of a state's velocity, shape (6 + n,)."""
-        return np.concatenate([self.object_acceleration, *self.joint_accelerations.values()])
+        layout = self.state.layout
+        stacked = np.zeros(layout.nv)
+        layout.twists(stacked)[0] = self.object_acceleration
+        for name, of_joints in layout.split_joints(layout.joint_rates(stacked)).items():
+            of_joints[:] = self.joint_accelerations[name]
+        of_bases = layout.base_twists(stacked)
+        for twist, acceleration in zip(of_bases, self.base_accelerations.values(), strict=True):
+            twist[:] = acceleration
+        return stacked
 
     @cached_property
     def contact_forces_unique(self) -> Mapping[str, np.ndarray]:
@@ -454,6 +466,10 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         state=state,
         object_acceleration=b.accelerations.a_o.copy(),
         joint_accelerations=layout.split_joints(a_j),
+        base_accelerations={
+            layout.names[i]: a_j[first : first + TWIST]
+            for i, first in zip(layout.bases, layout.first_of_bases, strict=True)
+        },
         joint_torques=layout.split_joints(torques),
         control_power=dict(zip(layout.names, powers, strict=False)),
         contact_forces=forces,

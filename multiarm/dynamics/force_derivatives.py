@@ -493,7 +493,8 @@ def displace(struct, differences, column, offset, direction, moves, start, data)
     if column >= at.states:
         return status
     frames = data.state.poses.shape[0]
-    retract_into(frames, start.configuration, offset, direction, data.state.configuration)
+    bases, moved = data.state.bases, data.state.configuration
+    retract_into(frames, bases, start.configuration, offset, direction, moved)
     for l in range(start.velocity.size):
         data.state.velocity[l] = start.velocity[l] + offset * direction[places.velocity + l]
     if moves and differences.local and column < at.positions:

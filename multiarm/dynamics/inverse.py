@@ -45,7 +45,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
-from multiarm.dynamics.model import Model
+from multiarm.dynamics.model import Model, require_no_floating_base
 from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
@@ -127,6 +127,7 @@ def inverse_dynamics(
         For an unknown robot or connection, or a wrong shape.
     """
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
+    require_no_floating_base(system.model, "torques for a desired motion are not computed there")
     t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(

@@ -22,7 +22,7 @@ from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_joint
-from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import floats_at, struct_at
@@ -39,12 +39,12 @@ from multiarm.jit.vectors import (
     times,
     vec,
 )
-from multiarm.spatial import write_matrix
+from multiarm.spatial import rotation_of, write_matrix
 
 
 @inlined
 def fill_configuration(model, data):
-    """Write Pinocchio's configuration from the positions of its arms' joints."""
+    """Write Pinocchio's configuration from the positions of its arms' joints and bases."""
     for j in range(data.state.joint_positions.size):
         slot = model.q_slots[j]
         if slot < 0:
@@ -54,10 +54,56 @@ def fill_configuration(model, data):
             data.bodies.pinocchio_configuration[slot + 1] = np.sin(data.state.joint_positions[j])
         else:
             data.bodies.pinocchio_configuration[slot] = data.state.joint_positions[j]
+    for b in range(data.state.bases.size):
+        for k in range(7):
+            slot = model.bases.slot[b] + k
+            data.bodies.pinocchio_configuration[slot] = data.state.base_poses[b, k]
+    if data.state.bases.size > 0:
+        fill_velocity(data)
+
+
+@kernel
+def fill_velocity(data):
+    """Write Pinocchio's velocity, where there are floating bases."""
+    rates, v = data.state.joint_rates, data.bodies.pinocchio_velocity
+    copy(rates, v)
+    for b in range(data.state.bases.size):
+        (x, y, z), omega = (
+            rotation_of(data.state.base_poses[b, 3:7]),
+            vec(rates, data.state.bases[b] + 3),
+        )
+        put(v, data.state.bases[b] + 3, (dot(x, omega), dot(y, omega), dot(z, omega)))
+
+
+@kernel
+def turn_base_terms(b, model, data, work):
+    r"""Write what Pinocchio has of a floating base in world axes, where it stands.
+
+    Pinocchio's base slides along world axes, then turns with an angular velocity in its own:
+    :math:`\omega = R\,\omega_b` and :math:`\dot\omega = R\,\dot\omega_b`.  So rows and columns of
+    the inertia and entries of the bias are turned by R, and columns of the Jacobian by
+    :math:`R^T` from the right.  Of the symmetric inertia the lower triangle is filled.
+    """
+    i, R = model.bases.block[b], rotation_of(data.state.base_poses[b, 3:7])
+    d = work.first_joint[i + 1] - work.first_joint[i]
+    addresses = open_addresses(data.bodies.pointers[i])
+    stride = addresses.stride
+    x, y, z = 3 * stride, 4 * stride, 5 * stride  # rows of the angular velocity
+    M, bias = floats_at(addresses.inertia, d * stride), floats_at(addresses.bias, d)
+    J = floats_at(addresses.jacobian, 6 * d)
+    put(bias, 3, rotate(R, vec(bias, 3)))
+    for c in range(3):  # columns of the base's shift
+        M[x + c], M[y + c], M[z + c] = rotate(R, (M[x + c], M[y + c], M[z + c]))
+    lower = M[x + 3], M[y + 3], M[z + 3], M[y + 4], M[z + 4], M[z + 5]
+    M[x + 3], M[y + 3], M[z + 3], M[y + 4], M[z + 4], M[z + 5] = rotate_symmetric(R, lower)
+    for r in range(6, d):
+        put(M, r * stride + 3, rotate(R, vec(M, r * stride + 3)))
+    for k in range(6):
+        J[18 + k], J[24 + k], J[30 + k] = rotate(R, (J[18 + k], J[24 + k], J[30 + k]))
 
 
 @inlined
-def arm_terms(model, data):
+def arm_terms(model, data, work):
     """All terms of the robots, and the motion of the links that carry their tips."""
     functions = data.functions
     if functions.arms != 0:
@@ -66,6 +112,8 @@ def arm_terms(model, data):
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)
+        for b in range(data.state.bases.size):
+            turn_base_terms(b, model, data, work)
     for l in range(data.bodies.link_pointers.shape[0]):
         addresses = open_link_addresses(data.bodies.link_pointers[l])
         if addresses.twist != 0:

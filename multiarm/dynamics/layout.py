@@ -1,11 +1,14 @@
 """Where the parts of a system are in the vectors that stack them.
 
-With F floating frames, of which the object is one, and n joints:
+With F floating frames, of which the object is one, B robots whose base floats, and n numbers of
+joints, to which the robots with floating bases add six each, before those of their joints:
 
 .. code-block:: text
 
-    configuration (7 F + n)    poses (F, 7): position, quaternion xyzw; joint positions (n,)
-    velocity (6 F + n)         twists (F, 6), world axes; joint velocities (n,)
+    configuration              poses (F, 7): position, quaternion xyzw; base poses (B, 7);
+      (7 F + 7 B + n)            joint positions (n,), zero for the six of a base
+    velocity (6 F + n)         twists (F, 6), world axes; joint velocities (n,), the six of a base
+                                 its twist, world axes
     contact forces (N)         of each owner of rows
     chart (12 F + 2 n + e + w) of the integrator: displacement, velocity, states of effects, works
     columns (12 F + 2 n)       of derivatives by the state: by displacements of the frames, their
@@ -110,7 +113,9 @@ class Layout:
     block_of : tuple of int
         The block of each owner.
     frames : int
-        Floating frames.
+        Floating frames, without the bases of robots.
+    bases : tuple of int
+        Robots whose base floats: their first six joints are the base's displacement and twist.
     """
 
     names: tuple[str, ...]
@@ -120,11 +125,13 @@ class Layout:
     first_contact: tuple[int, ...]
     block_of: tuple[int, ...]
     frames: int = 1
+    bases: tuple[int, ...] = ()
 
     def __str__(self) -> str:
         count, noun = len(self.names), self.noun
         robots = f"{noun} {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} {noun}"
-        return f"{robots}; {count_of(self.joints, 'joint')}, {count_of(self.contacts, 'contact')}"
+        joints = self.joints - TWIST * len(self.bases)
+        return f"{robots}; {count_of(joints, 'joint')}, {count_of(self.contacts, 'contact')}"
 
     @property
     def noun(self) -> str:
@@ -146,8 +153,13 @@ class Layout:
 
     @property
     def nq(self) -> int:
-        """Numbers of a configuration, 7 F + n."""
-        return 7 * self.frames + self.joints
+        """Numbers of a configuration, 7 F + 7 B + n."""
+        return self._first_position + self.joints
+
+    @property
+    def _first_position(self) -> int:
+        """Where joint positions begin in a configuration."""
+        return 7 * (self.frames + len(self.bases))
 
     @property
     def nv(self) -> int:
@@ -210,7 +222,7 @@ class Layout:
         return tuple(self.first_contact[owner] for owner in owners)
 
     def joints_of(self, i: int) -> slice:
-        """Joints of a robot among all joints."""
+        """Joints of a robot among all joints; the first six may be those of its base."""
         return slice(self.first_joint[i], self.first_joint[i + 1])
 
     def blocks_of(self, i: int) -> range:
@@ -274,8 +286,8 @@ class Layout:
 
     def same_joints(self, layout: Layout) -> bool:
         """Whether frames and joints are the same; the contacts may differ."""
-        joints = layout.names, layout.first_joint, layout.frames
-        return (self.names, self.first_joint, self.frames) == joints
+        joints = layout.names, layout.first_joint, layout.frames, layout.bases
+        return (self.names, self.first_joint, self.frames, self.bases) == joints
 
     # --- parts of configurations and velocities -------------------------------------------------
 
@@ -291,7 +303,22 @@ class Layout:
 
     def joint_positions(self, configuration: np.ndarray) -> np.ndarray:
         """Positions of all joints [rad or m]; a view, shape (..., n)."""
-        return configuration[..., 7 * self.frames :]
+        return configuration[..., self._first_position :]
+
+    def base_poses(self, configuration: np.ndarray) -> np.ndarray:
+        """Poses of the floating bases, as those of the frames; a view, shape (..., B, 7)."""
+        of_bases = configuration[..., 7 * self.frames : self._first_position]
+        return of_bases.reshape(*configuration.shape[:-1], len(self.bases), 7)
+
+    def base_twists(self, velocity: np.ndarray) -> list[np.ndarray]:
+        """What a vector like a velocity has of each floating base: views, shape (..., 6)."""
+        rates = self.joint_rates(velocity)
+        return [rates[..., first : first + TWIST] for first in self.first_of_bases]
+
+    @property
+    def first_of_bases(self) -> list[int]:
+        """First of the six joints of each floating base."""
+        return [self.first_joint[i] for i in self.bases]
 
     def twists(self, velocity: np.ndarray) -> np.ndarray:
         """What a vector like a velocity has of the frames; a view, shape (..., F, 6)."""
@@ -304,7 +331,9 @@ class Layout:
     @property
     def turns(self) -> list[slice]:
         """The angular part of each frame in a velocity; of a displacement, its rotation vector."""
-        return [slice(TWIST * f + 3, TWIST * (f + 1)) for f in range(self.frames)]
+        first = [TWIST * f for f in range(self.frames)]
+        first += [TWIST * self.frames + joint for joint in self.first_of_bases]
+        return [slice(at + 3, at + TWIST) for at in first]
 
     @property
     def of_frames(self) -> slice:
@@ -327,8 +356,13 @@ class Layout:
         return slice(first + joints.start, first + joints.stop)
 
     def split_joints(self, vector: np.ndarray) -> dict[str, np.ndarray]:
-        """Views ``robot -> vector[..., its joints]``."""
-        return {name: vector[..., self.joints_of(i)] for i, name in enumerate(self.names)}
+        """Views ``robot -> vector[..., its joints]``, without those of floating bases."""
+        return {name: vector[..., self.tree_joints(i)] for i, name in enumerate(self.names)}
+
+    def tree_joints(self, i: int) -> slice:
+        """Joints of a robot among all joints, without the six of a floating base."""
+        first = self.first_joint[i] + (TWIST if i in self.bases else 0)
+        return slice(first, self.first_joint[i + 1])
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``owner -> vector[..., its contacts]``, without the surroundings."""

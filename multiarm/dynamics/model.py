@@ -38,6 +38,7 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
@@ -169,17 +170,29 @@ class Model:
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
         i = self.layout.robot_of_joint(joint)
-        return self.arms[self.arm_names[i]].joint_names[joint - self.layout.first_joint[i]]
+        return self.arms[self.arm_names[i]].velocity_names[joint - self.layout.first_joint[i]]
 
     @property
     def joint_names(self) -> list[str]:
-        """All joints as ``arm/joint``, in the order of the stacked vectors."""
-        return [f"{name}/{joint}" for name, arm in self.arms.items() for joint in arm.joint_names]
+        """All joints as ``arm/joint``, in the order of the stacked vectors.
+
+        The six of a floating base have names of their own.
+        """
+        arms = self.arms.items()
+        return [f"{name}/{joint}" for name, arm in arms for joint in arm.velocity_names]
 
     @property
     def joint_units(self) -> list[str]:
         """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
-        return [unit for arm in self.arms.values() for unit in arm.joint_units.values()]
+        return [unit for arm in self.arms.values() for unit in arm.velocity_units]
+
+    @cached_property
+    def position_limits(self) -> np.ndarray:
+        """Ends of the range of every joint in the stacked vectors, shape (n, 2) [rad, m]."""
+        limits = np.full((self.layout.joints, 2), [-np.inf, np.inf])
+        for i, arm in enumerate(self.arms.values()):
+            limits[self.layout.tree_joints(i)] = arm.position_limits
+        return limits
 
     @property
     def controlled(self) -> bool:
@@ -257,6 +270,21 @@ class Model:
             contacts=contacts,
             records=tuple(self.records[row] for row in chosen),
             constants=self.constants._replace(**row_constants(table, layout)),
+        )
+
+
+def require_no_floating_base(model: Model, why: str) -> None:
+    """Refuse a model with robots whose base floats; ``why`` is a clause.
+
+    Raises
+    ------
+    ModelError
+    """
+    floating = [name for name, arm in model.arms.items() if arm.floats]
+    if floating:
+        raise ModelError(
+            f"the base of robot '{floating[0]}' floats: {why}; let it move in directions, such as "
+            "'moves: [x, y, z, yaw]', or fix it"
         )
 
 

@@ -9,11 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.arms.base_motion import BaseMotion
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import shown
+
+BASE_PARTS = ("position", "quaternion_xyzw", "twist")
+"""What is given of a floating base."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -24,10 +28,10 @@ class State:
     ----------
     position : ndarray, shape (7 + n,)
         The configuration: object's centre of mass [m], its quaternion (xyzw), joint positions
-        [rad or m].
+        [rad or m].  Poses of floating bases follow that of the object.
     velocity : ndarray, shape (6 + n,)
         Object's twist (world axes: velocity of the centre of mass, angular velocity), joint
-        velocities.
+        velocities.  The twist of a floating base stands before those of its robot's joints.
     layout : Layout
         Where these are in the two vectors.
 
@@ -73,6 +77,18 @@ class State:
     def joint_velocities(self) -> Mapping[str, np.ndarray]:
         """Arm or robot -> joint velocities, shape (n_i,)."""
         return MappingProxyType(self.layout.split_joints(self.layout.joint_rates(self.velocity)))
+
+    @property
+    def bases(self) -> Mapping[str, BaseMotion]:
+        """Robot name -> motion of its base, of robots whose base floats."""
+        poses, twists = (
+            self.layout.base_poses(self.position),
+            self.layout.base_twists(self.velocity),
+        )
+        pairs = zip(self.layout.bases, poses, twists, strict=True)
+        return MappingProxyType(
+            {self.layout.names[i]: BaseMotion(pose, twist) for i, pose, twist in pairs}
+        )
 
     def copy(self) -> State:
         """An independent copy."""
@@ -141,6 +157,45 @@ def checked_vector(
     if not np.all(np.isfinite(vector)):
         raise error(f"{what}: a number is not finite: {shown(vector.tolist())}")
     return vector
+
+
+def checked_quaternion(what: str, values: Any) -> np.ndarray:
+    """A quaternion of four finite numbers that are not all zero, of unit length."""
+    quaternion = checked_vector(what, values, 4)
+    if np.abs(quaternion).max() > 1e100:  # its square would overflow
+        quaternion /= np.abs(quaternion).max()
+    norm = np.linalg.norm(quaternion)
+    if not norm > 1e-12:
+        raise ModelError(f"{what} has length zero")
+    return quaternion / norm
+
+
+def fill_bases(state: State, given: Any) -> None:
+    """Write ``given``, a mapping robot -> position, quaternion, twist, into the floating bases.
+
+    Raises
+    ------
+    ModelError
+        An unknown robot or key, a wrong shape, a number that is not finite, a zero quaternion.
+    """
+    bases, example = state.bases, "bases: {'sat': {'position': 3 numbers [m]}}"
+    if not isinstance(given, Mapping):
+        raise ModelError(f"bases: must be a dict by robot, such as {example}, got {shown(given)}")
+    for robot, motion in given.items():
+        if robot not in bases:
+            known = f"robots with one are {', '.join(bases)}" if bases else "no robot has one"
+            raise ModelError(f"bases: {robot!r} is no robot with a floating base; {known}")
+        if not isinstance(motion, Mapping) or motion.keys() - set(BASE_PARTS):
+            raise ModelError(
+                f"bases[{robot!r}]: must be a dict with some of {', '.join(BASE_PARTS)}, got "
+                f"{shown(motion)}"
+            )
+        for part, values in motion.items():
+            where, view = f"bases[{robot!r}][{part!r}]", getattr(bases[robot], part)
+            if part == "quaternion_xyzw":
+                view[:] = checked_quaternion(where, values)
+            else:
+                view[:] = checked_vector(where, values, view.size)
 
 
 def fill_by_arm(

@@ -21,7 +21,14 @@ from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import Model
-from multiarm.dynamics.state import State, checked_vector, fill_by_arm, require_same_joints
+from multiarm.dynamics.state import (
+    State,
+    checked_quaternion,
+    checked_vector,
+    fill_bases,
+    fill_by_arm,
+    require_same_joints,
+)
 from multiarm.dynamics.tips import Kinematics, kinematics_of
 from multiarm.errors import ControlError, ModelError
 from multiarm.geometry.records import Contact
@@ -189,13 +196,13 @@ class System:
             if pair.first.tip or not pair.on_object:
                 noun = "connection"
             else:
-                of_robot = f"{count_of(self.arms[name].dof, 'joint')}, joined by "
+                of_robot = f"{count_of(len(self.arms[name].joint_names), 'joint')}, joined by "
             facts[f"{noun} {name}"] = (
                 f"{of_robot}{joints[name].kind}: {count_of(len(self.contacts[name]), 'contact')}, "
                 f"free: {', '.join(self.frames[name].labels) or 'nothing'}"
             )
         facts |= {
-            f"robot {name}": count_of(arm.dof, "joint")
+            f"robot {name}": count_of(len(arm.joint_names), "joint")
             for name, arm in self.arms.items()
             if name not in self.model.connections
         }
@@ -271,6 +278,7 @@ class System:
             [record.name for record in around],
             model.controlled,
             {name: self._row_owner(name) for name in model.contacts},
+            [name for name, arm in model.arms.items() if arm.floats],
         )
 
     def _row_owner(self, name: str) -> RowOwner:
@@ -305,31 +313,30 @@ class System:
         joint_positions: Mapping[str, np.ndarray] | None = None,
         object_twist=None,
         joint_velocities: Mapping[str, np.ndarray] | None = None,
+        bases: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> State:
         """A state from plain arrays; those left out are taken from the start.
 
-        The state is not projected and may violate the joints.
+        The state is not projected and may violate the joints.  ``bases`` are of robots with a
+        floating base: ``{"sat": {"position": [m], "quaternion_xyzw": ..., "twist": ...}}``, some or
+        all of the three.
 
         Raises
         ------
         ModelError
-            An unknown arm, a wrong shape, a number that is not finite, a zero quaternion.
+            An unknown arm or base, a wrong shape, a number that is not finite, a zero quaternion.
         """
         state = self.initial_state()
         if object_position is not None:
             state.object_position[:] = checked_vector("object_position", object_position, 3)
         if object_quaternion_xyzw is not None:
-            quaternion = checked_vector("object_quaternion_xyzw", object_quaternion_xyzw, 4)
-            if np.abs(quaternion).max() > 1e100:  # its square would overflow
-                quaternion /= np.abs(quaternion).max()
-            norm = np.linalg.norm(quaternion)
-            if not norm > 1e-12:
-                raise ModelError("object_quaternion_xyzw has length zero")
-            state.object_quaternion_xyzw[:] = quaternion / norm
+            quaternion = checked_quaternion("object_quaternion_xyzw", object_quaternion_xyzw)
+            state.object_quaternion_xyzw[:] = quaternion
         if object_twist is not None:
             state.object_twist[:] = checked_vector("object_twist", object_twist, 6)
         fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
         fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
+        fill_bases(state, {} if bases is None else bases)
         return state
 
     def kinematics(self, state: State | None = None) -> Kinematics:

@@ -55,7 +55,8 @@ def kinematics_of(arms: Iterable[Arm], state: State) -> Kinematics:
     """The tips of some arms and robots at a state."""
     tips, positions, velocities = _Tips(), state.joint_positions, state.joint_velocities
     for arm in arms:
+        angles, rates, base = positions[arm.name], velocities[arm.name], state.bases.get(arm.name)
         for tip in arm.tips:
             name = str(BodyName(arm.name, tip))
-            tips[name] = arm.tip_kinematics(positions[arm.name], velocities[arm.name], tip)
+            tips[name] = arm.tip_kinematics(angles, rates, tip, base)
     return Kinematics(tips)

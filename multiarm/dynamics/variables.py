@@ -13,7 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH, ContactSearch, make_search
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
-from multiarm.dynamics.coordinates import columns_of_forces
+from multiarm.dynamics.coordinates import bases_of, columns_of_forces
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import References
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
@@ -62,6 +62,8 @@ class StateVectors(NamedTuple):
 
     configuration: Floats1
     poses: Floats2  # (F, 7) of the frames
+    base_poses: Floats2  # (B, 7) of the floating bases
+    bases: Ints1  # (B,) the first of the six joints of each
     object_pose: Floats1  # (7,)
     joint_positions: Floats1  # (joints,)
     velocity: Floats1
@@ -75,6 +77,8 @@ class BodyVariables(NamedTuple):
     pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.arms.terms
     link_pointers: Ints2  # (L, 3) addresses of the motion of each link
     pinocchio_configuration: Floats1
+    # (joints,) velocities as Pinocchio has them: of floating bases the angular one in base axes
+    pinocchio_velocity: Floats1
     # (B, 24) motion of the links, of the object and of the world, see
     # multiarm.dynamics.connections; parts of the same memory, (L, 24), (24,)
     motion: Floats2
@@ -368,6 +372,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             pointers=pointers.terms,
             link_pointers=pointers.links,
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
+            pinocchio_velocity=state.joint_rates.copy() if layout.bases else state.joint_rates,
             motion=motion,
             links=motion[:-2],
             object=motion[-2],
@@ -430,6 +435,8 @@ def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Ac
         StateVectors(
             configuration=q,
             poses=layout.poses(q),
+            base_poses=layout.base_poses(q),
+            bases=bases_of(layout),
             object_pose=layout.poses(q)[0],
             joint_positions=layout.joint_positions(q),
             velocity=v,

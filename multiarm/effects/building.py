@@ -75,10 +75,15 @@ class BuildContext:
         from_urdf: Callable[[JointOutline], float] | None = None,
         default: float = 0.0,
     ) -> np.ndarray:
-        """One number for every joint of all arms; see :func:`joint_numbers`."""
-        return np.concatenate(
-            list(joint_numbers(values, self.outlines, from_urdf, default).values())
-        )
+        """One number for every joint of all arms; see :func:`joint_numbers`.
+
+        Those of floating bases have the default.
+        """
+        numbers, layout = np.full(self.layout.joints, default), self.layout
+        by_arm = joint_numbers(values, self.outlines, from_urdf, default).values()
+        for i, of_arm in enumerate(by_arm):
+            numbers[layout.tree_joints(i)] = of_arm
+        return numbers
 
     def link(self, arm: str, name: str) -> Link:
         """A link of an arm; its pose will be computed at every evaluation."""

@@ -27,7 +27,7 @@ import math
 
 from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
-from multiarm.dynamics.coordinates import retract_into
+from multiarm.dynamics.coordinates import retract_into, retract_joints
 from multiarm.dynamics.equations import keeps_factors, solve_frictionless, update_kinematics
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
@@ -132,12 +132,11 @@ def project_positions(
         if not hold_object:
             reach = larger(reach, greatest(data.accelerations.a_o))
         data.status.position_change += scale * reach
+        q, bases, frames = data.state.configuration, data.state.bases, data.state.poses.shape[0]
         if hold_object:
-            for j in range(data.accelerations.a_j.size):
-                data.state.joint_positions[j] += scale * data.accelerations.a_j[j]
+            retract_joints(frames, bases, q, scale, data.accelerations.a, q)
         else:
-            start, frames = data.state.configuration, data.state.poses.shape[0]
-            retract_into(frames, start, scale, data.accelerations.a, data.state.configuration)
+            retract_into(frames, bases, q, scale, data.accelerations.a, q)
     return PROJECTION_FAILED
 
 

@@ -39,14 +39,21 @@ def write_sample(struct, t, works, row):
     row[0] = t
     at = append(row, 1, state.object_pose)
     at = append(row, at, state.object_twist)
-    c, blocks = 0, model.connections.block
+    b, c, blocks = 0, 0, model.connections.block
     for i in range(control.power.size):
         first, last = model.first_joint[i], model.first_joint[i + 1]
+        floats = b < state.bases.size and model.bases.robot[b] == i
+        if floats:
+            first += 6
         at = append(row, at, state.joint_positions[first:last])
         at = append(row, at, state.joint_rates[first:last])
         at = append(row, at, control.torque[first:last])
         if model.control.shape[0] > 0:
             at = append(row, at, control.power[i : i + 1])
+        if floats:
+            at = append(row, at, state.base_poses[b])
+            at = append(row, at, state.joint_rates[first - 6 : first])
+            b += 1
         while c < blocks.size and work.first_joint[blocks[c]] < last:
             at = append_contacts(model, data, c, row, at)
             c += 1

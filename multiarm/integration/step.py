@@ -159,7 +159,7 @@ def make_step(
     size = places_in_chart(layout.nv, layout.joints, states).works + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
     base, stage = np.zeros(layout.nq), Stage()
-    layout.poses(base)[:, 6] = 1.0  # upright
+    layout.poses(base)[:, 6] = layout.base_poses(base)[:, 6] = 1.0  # upright
     stage.begin()
     return Step(
         system=system,

@@ -235,7 +235,9 @@ def correct_unknowns(work, data, iteration):
 @kernel
 def move_in_step(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
-    retract_into(data.state.poses.shape[0], work.begin, delay, work.xi, data.state.configuration)
+    state = data.state
+    frames, bases = state.poses.shape[0], state.bases
+    retract_into(frames, bases, work.begin, delay, work.xi, state.configuration)
     copy(work.xi, data.state.velocity)
     data.time.now = t
 

@@ -171,6 +171,15 @@ def contact_owners(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     return ()
 
 
+def base_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """Names of the robots whose base floats, in the order of the scene."""
+    return tuple(
+        channel.owner.name
+        for channel in channels.values()
+        if channel.owner.group == ARMS and channel.quantity == "base_position"
+    )
+
+
 def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
     """Arm, connection or "floor" -> name of its channel of a quantity, of the channels of a run."""
     of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
@@ -212,6 +221,7 @@ def trajectory_channels(
     environment: Sequence[str] = (),
     controlled: bool = False,
     owners: Mapping[str, RowOwner] | None = None,
+    bases: Sequence[str] = (),
 ) -> tuple[Channel, ...]:
     """The channels of a run: time, object, robots and contacts, floor, effects, energy and drift.
 
@@ -233,6 +243,8 @@ def trajectory_channels(
         Whether the robots have a control, whose power is recorded.
     owners : mapping, optional
         Those that are no arms: the others are robots too, with one tip at the object.
+    bases : sequence of str
+        Names of the robots whose base floats.
     """
     free, states, owners = free or {}, states or {}, owners or {}
     channels = [
@@ -244,6 +256,8 @@ def trajectory_channels(
         channels += _arm_channels(f"arms/{robot}", units)
         if controlled:
             channels.append(control_power_channel(f"arms/{robot}"))
+        if robot in bases:
+            channels += base_channels(f"arms/{robot}")
         for owner in (name for name, fact in facts.items() if fact.robot == robot):
             channels += _owner_channels(
                 owner, facts[owner], contacts[owner], states.get(owner, ()), free.get(owner, {})
@@ -298,6 +312,11 @@ def _owner_channels(
 def tip_channels(path: str) -> list[Channel]:
     """The channels of a tip's motion, which have the same shapes for all."""
     return _motion_channels(f"{path}/tip_", "tip", "origin")
+
+
+def base_channels(path: str) -> list[Channel]:
+    """The channels of a floating base's motion, which have the same shapes for all."""
+    return _motion_channels(f"{path}/base_", "base", "origin")
 
 
 def control_power_channel(path: str) -> Channel:

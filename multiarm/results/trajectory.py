@@ -24,6 +24,7 @@ from multiarm.public import facts_html, public_names
 from multiarm.results.channels import (
     Channel,
     arm_names,
+    base_names,
     channels_of,
     contact_owners,
     work_channels,
@@ -95,6 +96,30 @@ class ByArm(Mapping[str, np.ndarray]):
 
     def __len__(self) -> int:
         return len(self._names)
+
+
+class BaseChannels:
+    """Motion of a robot's floating base, the frame of its root link; read on access."""
+
+    def __init__(self, read: Callable[[str], np.ndarray], prefix: str):
+        self._read, self._prefix = read, prefix
+
+    __dir__ = public_names
+
+    @property
+    def position(self) -> np.ndarray:
+        """Origin of the frame in world axes, shape (K, 3) [m]."""
+        return self._read(f"{self._prefix}position")
+
+    @property
+    def quaternion_xyzw(self) -> np.ndarray:
+        """Orientation of the frame, scalar last, shape (K, 4)."""
+        return self._read(f"{self._prefix}quaternion_xyzw")
+
+    @property
+    def twist(self) -> np.ndarray:
+        """Velocity of the origin [m/s], angular velocity [rad/s], world, shape (K, 6)."""
+        return self._read(f"{self._prefix}twist")
 
 
 class Trajectory:
@@ -248,6 +273,12 @@ class Trajectory:
     def object_twist(self) -> np.ndarray:
         """Velocity of the centre of mass [m/s], angular velocity [rad/s], world, (K, 6)."""
         return self.channel("object/twist")
+
+    @property
+    def bases(self) -> dict[str, BaseChannels]:
+        """Robot -> motion of its base, of robots whose base floats."""
+        names = base_names(self._store.channels)
+        return {name: BaseChannels(self.channel, f"arms/{name}/base_") for name in names}
 
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:

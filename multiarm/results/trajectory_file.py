@@ -44,6 +44,7 @@ from multiarm.results.channels import (
     Channel,
     arm_channel,
     arm_names,
+    base_channels,
     control_power_channel,
     owner_names,
     recordable,
@@ -150,7 +151,10 @@ class TrajectoryReader(StoredFile):
         if "time" not in self.channels:
             raise self.broken("channel 'time' is missing")
         of_arms = [
-            (wrench_channel(path), *tip_channels(path), control_power_channel(path))
+            (
+                *(wrench_channel(path), control_power_channel(path)),
+                *(*tip_channels(path), *base_channels(path)),
+            )
             for path in (f"arms/{owner}" for owner in owner_names(self.channels))
         ]
         floor = wrench_channel("environment")

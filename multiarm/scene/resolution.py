@@ -62,6 +62,8 @@ class ResolvedRobot:
     base_joints : tuple of JointOutline
         The first of ``joints``: those that move the root link in the frame of the base, ``base_x``,
         ``base_y``, ``base_z``, ``base_yaw`` or some of these.
+    base_floats : bool
+        Whether the root link floats.
     base_mass : float
         Added to the root link at the base's origin [kg].
     base_inertia : ndarray, shape (3, 3)
@@ -81,6 +83,7 @@ class ResolvedRobot:
     locked: dict[str, float]
     mjcf: bool = False
     base_joints: tuple[JointOutline, ...] = ()
+    base_floats: bool = False
     base_mass: float = 0.0
     base_inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     mimic: tuple[MimicCoupling, ...] = ()

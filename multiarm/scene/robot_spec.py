@@ -1,7 +1,8 @@
 """A robot as a user writes it: a tree of links on a base, with several tips, and what moves it.
 
-The base is fixed or moves in the frame in which it is written: by slides along x, y and z, then by
-a turn about z, real joints ``base_x``, ``base_y``, ``base_z``, ``base_yaw`` before the root link.
+The base is fixed, floats freely, or moves in the frame in which it is written: by slides along x,
+y and z, then by a turn about z, real joints ``base_x``, ``base_y``, ``base_z``, ``base_yaw`` before
+the root link.
 Further joints move if they lie on the way from the root to a tip, or to a link that a joint of the
 scene names; the others are held fixed.  A joint on the way that copies another moves by a number of
 its own, and is coupled to its leader.
@@ -39,7 +40,7 @@ from multiarm.scene.resolution import (
 from multiarm.scene.robots import arm_ends
 from multiarm.scene.spec import Spec
 from multiarm.scene.urdf import JointOutline, Mimic, RobotOutline
-from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipName
+from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipName, Vec6
 
 Direction = Literal["x", "y", "z", "yaw"]
 _DIRECTIONS: tuple[str, ...] = get_args(Direction)
@@ -47,16 +48,27 @@ _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}  # of the others: z
 _NOT_SIMULATED = {
     "differential": "a base on wheels that cannot slide sideways is not simulated yet; write "
     "'moves: [x, y, yaw]', which may slide",
-    "free": "a base that floats freely is not simulated yet; write 'moves: [x, y, z, yaw]', whose "
-    "roll and pitch are fixed",
 }
+FREE: Literal["free"] = "free"
+"""How a base moves that floats."""
 
 
 def _moves(value: Any) -> Any:
-    if isinstance(value, str):
-        listing = f"must be a list of some of {', '.join(_DIRECTIONS)}, got {shown(value)}"
-        raise invalid(_NOT_SIMULATED.get(value, listing))
+    if value == FREE:
+        return value
+    if not isinstance(value, list | tuple):
+        listing = (
+            f"must be a list of some of {', '.join(_DIRECTIONS)}, or {FREE!r}, got {shown(value)}"
+        )
+        raise invalid(_NOT_SIMULATED.get(str(value), listing))
+    for direction in value:
+        if direction not in _DIRECTIONS:
+            raise invalid(unknown("direction", direction, _DIRECTIONS))
     return value
+
+
+FLOATING_BASE = "the floating base"
+"""In place of a joint, what carries the links next to the root of a robot that floats."""
 
 
 class RobotBaseSpec(Pose):
@@ -64,14 +76,17 @@ class RobotBaseSpec(Pose):
 
     rpy: BaseTurn = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw [rad], as of any pose; up to three turns."""
-    moves: Annotated[tuple[Direction, ...], BeforeValidator(_moves)] = ()
+    moves: Annotated[tuple[Direction, ...] | Literal["free"], BeforeValidator(_moves)] = ()
     """The directions in which the base moves, some of x, y, z, yaw in this order: along, and in the
     end about, the axes of the pose that is written. They are joints 'base_x', 'base_y', 'base_z',
-    'base_yaw'. Absent: it is fixed."""
+    'base_yaw'. 'free': it floats, from the pose that is written. Absent: it is fixed."""
     limits: dict[Direction, Range] = Field(default_factory=dict)
     """Ends of the range [m] or [rad], a table by direction; others have none."""
     effort: dict[Direction, Positive] = Field(default_factory=dict)
     """Largest force [N] or torque [N m] of the drives, a table by direction; others have none."""
+    twist: Vec6 | None = None
+    """Of a 'free' base at the start: velocity of its origin [m/s], then angular velocity [rad/s],
+    in world axes. Absent: it rests."""
     mass: Positive | None = None
     """Added to the root link, at the origin of the base [kg]."""
     inertia: Inertia | None = None
@@ -80,6 +95,18 @@ class RobotBaseSpec(Pose):
 
     @model_validator(mode="after")
     def _fits_what_moves(self) -> Self:
+        if self.floats:
+            if self.limits or self.effort:
+                raise invalid(
+                    "'limits' and 'effort' are of the joints of a base that moves in directions; a "
+                    "'free' base has none, remove them"
+                )
+            return self
+        if self.twist is not None:
+            raise invalid(
+                "'twist' is of a base that floats; write moves: free, or remove it: velocities of "
+                "other bases are those of their joints, in 'velocity'"
+            )
         if list(self.moves) != [name for name in _DIRECTIONS if name in self.moves]:
             raise invalid(
                 f"'moves' must name each direction once, in the order {', '.join(_DIRECTIONS)}, "
@@ -99,8 +126,15 @@ class RobotBaseSpec(Pose):
             )
         return self
 
+    @property
+    def floats(self) -> bool:
+        """Whether it moves freely."""
+        return self.moves == FREE
+
     def joints(self, root: str) -> tuple[JointOutline, ...]:
-        """The joints that move the root link."""
+        """The joints that move the root link; none of a base that floats."""
+        if self.moves == FREE:
+            return ()
         return tuple(self._joint(direction, root) for direction in self.moves)
 
     def _joint(self, direction: Direction, root: str) -> JointOutline:
@@ -194,7 +228,8 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     base = spec.base.joints(outline.root)
     moving = (*base, *free)
     examination.joints = moving
-    examination.carriers = _carriers(outline, base, {joint.name for joint in free})
+    foot = base[-1].name if base else FLOATING_BASE if spec.base.floats else ""
+    examination.carriers = _carriers(outline, foot, {joint.name for joint in free})
     examination.moving = tuple(examination.carriers)
     for name, link in spec.tips.items():
         if link in outline.links and link not in examination.carriers:
@@ -216,6 +251,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
             locked=locked,
             mjcf=spec.mjcf is not None,
             base_joints=base,
+            base_floats=spec.base.floats,
             base_mass=spec.base.mass or 0.0,
             base_inertia=np.array(spec.base.inertia or np.zeros((3, 3))),
             mimic=couplings_of(moving),
@@ -317,11 +353,9 @@ def _check_circles(spec: RobotSpec, free: list[JointOutline], examination: Exami
             examination.add_fault(*where, text=text)
 
 
-def _carriers(
-    outline: RobotOutline, base: tuple[JointOutline, ...], moving: set[str]
-) -> dict[str, str]:
-    """The last joint that moves each link, of the links that move."""
-    carriers = {outline.root: base[-1].name} if base else {}
+def _carriers(outline: RobotOutline, foot: str, moving: set[str]) -> dict[str, str]:
+    """The last joint that moves each link, of the links that move; ``foot`` moves the root link."""
+    carriers = {outline.root: foot} if foot else {}
     for joint in outline.in_model_order():
         if joint.name in moving:
             carriers[joint.child] = joint.name

@@ -307,10 +307,10 @@ def _energy_check(
         state = sample_state(data.model.layout, run, k)
         units = data.model.coordinate_units
         off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
-        names = [
-            "object/twist",
-            *(arm_channel(arm, "joint_velocity") for arm in data.model.arm_names),
-        ]
+        names = ["object/twist"]
+        for name, arm in data.model.arms.items():
+            names += [arm_channel(name, "base_twist")] if arm.floats else []
+            names.append(arm_channel(name, "joint_velocity"))
         slow = np.concatenate([comparison.velocity[name] for name in names])
         explained = float(
             np.abs(_energy_gradient(data, state)) @ off + np.abs(_momenta(data, state)) @ slow

@@ -28,7 +28,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
-from multiarm.results.channels import arm_channel, channels_of
+from multiarm.results.channels import arm_channel, base_names, channels_of
 from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
@@ -37,7 +37,7 @@ OUTPUT_KINDS = (POSITION, ROTATION, FORCE)
 LENGTHS = (POSITION, ROTATION)
 UNITS = {POSITION: "m", ROTATION: "rad", FORCE: "N"}
 
-VELOCITIES = ("twist", "joint_velocity")
+VELOCITIES = ("twist", "joint_velocity", "base_twist")
 """Of which the largest difference of each number is kept: those of the state."""
 BLOCK_SAMPLES = 4096
 
@@ -95,7 +95,7 @@ class Comparison:
 
 
 def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
-    """Outputs that are compared: the object's pose, joints of the arms, contact forces."""
+    """Outputs that are compared: the object's pose, joints and bases of robots, contact forces."""
     place, turn = np.arange(3), np.arange(4)
     outputs = [
         Output("object position", POSITION, "object/position", place, place),
@@ -108,6 +108,11 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
             columns = np.flatnonzero(units == UNITS[kind])
             if columns.size:
                 outputs.append(Output(noun, kind, joints.name, columns, columns, arm))
+    for robot in base_names(run.channels):
+        position = arm_channel(robot, "base_position")
+        rotation = arm_channel(robot, "base_quaternion_xyzw")
+        outputs.append(Output("base position", POSITION, position, place, place, robot))
+        outputs.append(Output("base rotation", ROTATION, rotation, turn, turn, robot))
     for owner, name in channels_of(run.channels, "contact_force").items():
         if name not in other.channels:
             continue
@@ -245,16 +250,18 @@ def sample_state(layout: Layout, run: Trajectory, k: int) -> State:
     def read(name: str) -> np.ndarray:
         return run.read(name, k, k + 1)[0]
 
-    joints = [
-        [read(arm_channel(arm, f"joint_{what}")) for arm in run.arm_names]
-        for what in ("position", "velocity")
-    ]
-    pose = [read("object/position"), read("object/quaternion_xyzw")]
-    return State(
-        np.concatenate([*pose, *joints[0]]),
-        np.concatenate([read("object/twist"), *joints[1]]),
-        layout,
-    )
+    state = State(np.zeros(layout.nq), np.zeros(layout.nv), layout)
+    state.object_position[:] = read("object/position")
+    state.object_quaternion_xyzw[:] = read("object/quaternion_xyzw")
+    state.object_twist[:] = read("object/twist")
+    for robot in layout.names:
+        state.joint_positions[robot][:] = read(arm_channel(robot, "joint_position"))
+        state.joint_velocities[robot][:] = read(arm_channel(robot, "joint_velocity"))
+    for robot, base in state.bases.items():
+        base.position[:] = read(arm_channel(robot, "base_position"))
+        base.quaternion_xyzw[:] = read(arm_channel(robot, "base_quaternion_xyzw"))
+        base.twist[:] = read(arm_channel(robot, "base_twist"))
+    return state
 
 
 def rotation_apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:

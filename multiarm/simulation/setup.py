@@ -46,7 +46,7 @@ from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
 from multiarm.scene.values import is_finite
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
-from multiarm.tableaus import METHODS
+from multiarm.tableaus import EXPLICIT, METHODS, SEMI_IMPLICIT
 
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
@@ -220,6 +220,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     data, spec, begin = task.data, task.spec, task.begin
     name, tolerance = method_and_tolerance(spec, tighten)
     _check_samples(data.model, spec)
+    _check_bases(data.model, name)
     if not carries_all_effects(name):
         _check_effects(task, name)
     stepping = stepping_of(data, METHODS[name])
@@ -251,7 +252,8 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         samples,
         final_sample,
         control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
-        switch=settings.adaptive and spec.integrator is None,
+        # the method for stiff scenes needs derivatives, see `_check_bases`
+        switch=settings.adaptive and spec.integrator is None and not data.model.layout.bases,
         step=first_length,
     )
     return Run(
@@ -273,6 +275,18 @@ def _check_effects(task: Task, name: str) -> None:
     with_events = causes_of_events(task.system.scene.effects, has_friction)
     if fault := method_fault(name, task.data.model.effects.with_states, with_events):
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
+
+
+def _check_bases(model: Model, name: str) -> None:
+    """Refuse methods that need derivatives, where bases float."""
+    floating = [robot for robot, arm in model.arms.items() if arm.floats]
+    if floating and METHODS[name].kind not in (EXPLICIT, SEMI_IMPLICIT):
+        text = (
+            f"'{name}' needs derivatives by the pose of a floating base, that of robot "
+            f"'{floating[0]}', which are not there yet; use another method, such as 'dop853' or "
+            "'rk4'"
+        )
+        raise SceneError([Fault(text, "integrator", ("run", "integrator"))])
 
 
 def positive(name: str, value: float, *, or_infinite: bool = False) -> float:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multiarm.dynamics.coordinates import (
+    bases_of,
     chart_places,
     difference,
     equation_columns,
@@ -25,15 +26,30 @@ LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 3), ("arm",), (0, 2), (0,)),
     Layout(("left", "right"), (0, 3, 5), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3),
     Layout((), (0,), (0,), (), (0,), (), frames=2),
+    Layout(("fixed", "a", "b"), (0, 2, 9, 15), (0, 2, 9, 15), ("a",), (0, 1), (1,), bases=(1, 2)),
 ]
 ROUNDING = 1e-14
-layouts = pytest.mark.parametrize("layout", LAYOUTS, ids=lambda layout: f"{layout.frames} frames")
+layouts = pytest.mark.parametrize(
+    "layout", LAYOUTS, ids=lambda layout: f"{layout.frames} frames, {len(layout.bases)} bases"
+)
 
 
 def random_configuration(layout, rng):
     q = rng.normal(size=layout.nq)
-    layout.poses(q)[:, 3:] = Rotation.random(layout.frames, random_state=rng).as_quat()
+    for pose in every_pose(layout, q):
+        pose[3:] = Rotation.random(random_state=rng).as_quat()
+    for first in layout.first_of_bases:
+        layout.joint_positions(q)[first : first + 6] = 0.0
     return q
+
+
+def every_pose(layout, q):
+    """Of the frames and the bases."""
+    return [*layout.poses(q), *layout.base_poses(q)]
+
+
+def every_twist(layout, v):
+    return [*layout.twists(v), *layout.base_twists(v)]
 
 
 def random_data(layout, rng, states=2, works=3):
@@ -51,13 +67,14 @@ def test_retraction_turns_each_frame_by_the_exponential_and_shifts_all_else(layo
     rng = np.random.default_rng(1)
     start, u = random_configuration(layout, rng), rng.normal(size=layout.nv)
     end = retract(layout, start, u)
-    for before, after, twist in zip(
-        layout.poses(start), layout.poses(end), layout.twists(u), strict=True
-    ):
+    poses = every_pose(layout, start), every_pose(layout, end)
+    for before, after, twist in zip(*poses, every_twist(layout, u), strict=True):
         expected = Rotation.from_rotvec(twist[3:]) * Rotation.from_quat(before[3:])
         assert np.allclose(after[:3], before[:3] + twist[:3], atol=ROUNDING)
         turned = Rotation.from_quat(after[3:]) * expected.inv()
         assert turned.magnitude() < ROUNDING
+    for twist in layout.base_twists(u):
+        twist[:] = 0.0  # the numbers of a base stay: its pose moves
     joints = layout.joint_positions(start) + layout.joint_rates(u)
     assert np.allclose(layout.joint_positions(end), joints, atol=ROUNDING)
 
@@ -84,10 +101,11 @@ def test_displacements_of_another_length_or_system_are_refused(rng):
 @layouts
 def test_parts_are_views_of_the_stacked_vectors(layout):
     q, v = np.arange(layout.nq, dtype=float), np.arange(layout.nv, dtype=float)
-    layout.poses(q)[...] = -1.0
+    layout.poses(q)[...] = layout.base_poses(q)[...] = -1.0
     layout.twists(v)[...] = -1.0
-    assert np.all(q[: 7 * layout.frames] == -1.0) and np.all(v[: 6 * layout.frames] == -1.0)
-    assert np.array_equal(layout.joint_positions(q), np.arange(7 * layout.frames, layout.nq))
+    poses = 7 * (layout.frames + len(layout.bases))
+    assert np.all(q[:poses] == -1.0) and np.all(v[: 6 * layout.frames] == -1.0)
+    assert np.array_equal(layout.joint_positions(q), np.arange(poses, layout.nq))
     for i in range(len(layout.names)):
         first, last = layout.first_joint[i : i + 2]
         assert np.array_equal(v[layout.of_robot(i)], layout.joint_rates(v)[first:last])
@@ -126,7 +144,8 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     places = chart_places(data)
     z = 0.4 * rng.normal(size=places.works + data.effects.power.size)
     base = np.zeros(layout.nq)
-    layout.poses(base)[:, 3:] = Rotation.random(layout.frames, random_state=rng).as_quat()
+    for pose in every_pose(layout, base):
+        pose[3:] = Rotation.random(random_state=rng).as_quat()
     load_chart.py_func(z, base, data)
     slope = np.zeros_like(z)
     write_chart_slope.py_func(z, data, slope)
@@ -134,7 +153,7 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     def positions(t):
         q = retract(layout, data.state.configuration, t * data.state.velocity)
         origin = np.zeros(layout.nq)
-        read_chart(layout.frames, np.zeros_like(z), base, origin)
+        read_chart(layout.frames, bases_of(layout), np.zeros_like(z), base, origin)
         return difference(layout, origin, q)
 
     numeric = (positions(h) - positions(-h)) / (2.0 * h)

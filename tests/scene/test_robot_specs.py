@@ -179,12 +179,12 @@ def test_every_link_of_a_robot_on_a_moving_base_moves():
 @pytest.mark.parametrize(
     ("base", "place"),
     [
-        ({"moves": "free"}, "$.robots.tiago.base.moves"),
+        ({"moves": "free", "limits": {"x": [0, 1]}}, "$.robots.tiago.base"),
         ({"moves": "differential"}, "$.robots.tiago.base.moves"),
         ({"moves": "x"}, "$.robots.tiago.base.moves"),
         ({"moves": ["yaw", "x"]}, "$.robots.tiago.base"),
         ({"moves": ["x", "x"]}, "$.robots.tiago.base"),
-        ({"moves": ["roll"]}, "$.robots.tiago.base.moves[0]"),
+        ({"moves": ["roll"]}, "$.robots.tiago.base.moves"),
         ({"moves": ["x"], "limits": {"y": [0, 1]}}, "$.robots.tiago.base"),
         ({"moves": ["x"], "limits": {"x": [1, 0]}}, "$.robots.tiago.base.limits.x"),
         ({"moves": ["x"], "effort": {"x": 0}}, "$.robots.tiago.base.effort.x"),

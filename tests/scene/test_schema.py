@@ -129,7 +129,7 @@ def test_what_scenes_may_abbreviate_fits(part, text):
         ("control", "gravity", "$.control"),
         ("control", "joint_pd", "$.control"),
         ("control", "{kind: constant}", "$.control"),
-        ("robots", "{r: {robot: ur5, base: {moves: [roll]}}}", "$.robots.r.base.moves[0]"),
+        ("robots", "{r: {robot: ur5, base: {moves: [roll]}}}", "$.robots.r.base.moves"),
         ("robots", "{r: {robot: ur5, mimic: {j: {}}}}", "$.robots.r.mimic.j"),
         ("joints", "[{kind: weld}]", "$.joints[0]"),
         ("joints", "[{kind: weld, arm: left, between: [left, world]}]", "$.joints[0]"),

@@ -195,6 +195,14 @@ def _with_moves(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any
     return {**spec, "base": base}
 
 
+def _floating(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any]:
+    """The robot on a base that floats."""
+    mass = float(rng.uniform(1.0, 30.0))
+    moments = random_moments(rng, mass, 0.3)
+    base = {**spec["base"], "moves": "free", "mass": mass, "inertia": moments.tolist()}
+    return {**spec, "base": base}
+
+
 def real_robot(rng: np.random.Generator, name: str, *, moves: bool = False) -> dict[str, Any]:
     """The table of one of ``REAL_ROBOTS``."""
     spec = {"robot": name, "base": pose_of(random_pose(rng, 0.5)), "tips": dict(REAL_ROBOTS[name])}
@@ -289,8 +297,11 @@ def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
     trees, torques = read_tree_scene(scene), {}
     for name, robot in trees.robots.items():
         q = rng.uniform(-1.0, 1.0, len(robot.joints))
-        lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-        lower, upper = np.maximum(lower, -10.0), np.minimum(upper, 10.0)  # none: the largest float
+        of_base = 7 if robot.floats else 0
+        lower = np.maximum(robot.model.lowerPositionLimit[of_base:], -10.0)
+        upper = np.minimum(
+            robot.model.upperPositionLimit[of_base:], 10.0
+        )  # none: the largest float
         q = np.where(
             upper > lower, (lower + upper + 0.9 * q * np.minimum(upper - lower, 2.0)) / 2.0, q
         )
@@ -328,11 +339,14 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
     state = TreeState(
         drawn.object_position, drawn.object_quaternion_xyzw, rng.uniform(-1.0, 1.0, 6),
         drawn.joint_positions, rates,
+        {name: {**base, "twist": rng.uniform(-1.0, 1.0, 6)} for name, base in drawn.bases.items()},
     )  # fmt: skip
     state = least_change(trees, state)
     scene["object"]["twist"] = state.object_twist.tolist()
     for name, spec in robot_tables(scene).items():
         spec["velocity"] = state.joint_velocities[name].tolist()
+        if name in state.bases:
+            spec["base"]["twist"] = state.bases[name]["twist"].tolist()
     return RandomTrees(scene, trees, state, constant_torques(scene, trees))
 
 
@@ -376,6 +390,21 @@ def moving_bases(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
         "robots": {**robots, **scene.get("robots", {})},
         "joints": [*scene["joints"], *joints],
     }
+
+
+def floating_bases(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """One or two robots that float, some with a tip held by the world or by a fixed robot."""
+    several = _floating(
+        rng, tree_robot(rng, folder / "float.urdf", int(rng.integers(2, 4)), mimic=True)
+    )
+    robots = {"float": several, "fixed": tree_robot(rng, folder / "fixed.urdf", 1)}
+    if rng.random() < 0.5:
+        robots["second"] = _floating(rng, tree_robot(rng, folder / "second.urdf", 1))
+    first, *tips = holds(robots)
+    joints = [{"arm": tip, **random_kind(rng)} for tip in tips]
+    if rng.random() < 0.6:
+        joints.append({"between": [first, WORLD], **random_kind(rng, most_rows=3)})
+    return {"object": _object(rng), "robots": robots, "joints": joints}
 
 
 def surroundings(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
@@ -471,12 +500,14 @@ FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
         real_robots,
     )
 }  # fmt: skip
+# With those of robots that float, of whose state the base's motion is a part.
+ALL_FAMILIES = {**FAMILIES, "floating_bases": floating_bases}
 
 
 def draw_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTrees:
     """A well-conditioned scene of a family; files of its robots are in ``folder``."""
     for _ in range(ATTEMPTS):
-        drawn = finish(rng, FAMILIES[family](rng, folder))
+        drawn = finish(rng, ALL_FAMILIES[family](rng, folder))
         if drawn is not None:
             return drawn
     raise RuntimeError(f"{family}: no scene of {ATTEMPTS} is well-conditioned")

@@ -68,6 +68,8 @@ class RobotModel:
     model : pinocchio.Model
     joints : tuple of str
         Base joints first, then as in the robot's file.
+    floats : bool
+        Whether the first joint is a free flyer, which is none of these.
     links : dict link -> BodyFrame
     tips : dict tip -> link
         Of an arm under ``arms:`` its tip under the key "".
@@ -80,6 +82,7 @@ class RobotModel:
     links: dict[str, BodyFrame]
     tips: dict[str, str]
     mimics: tuple[Mimic, ...]
+    floats: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ class TreeState:
     object_twist: np.ndarray
     joint_positions: dict[str, np.ndarray]
     joint_velocities: dict[str, np.ndarray] = field(default_factory=dict)
+    bases: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # those that float
 
 
 @dataclass(frozen=True)
@@ -256,13 +260,24 @@ def read_robot(name: str, spec: dict[str, Any], named_links: set[str]) -> RobotM
                 name, numbers[frame.parentJoint], on_root * frame.placement
             )
     couplings = tuple(mimics[joint] for joint in moving if joint in mimics)
-    return RobotModel(model, tuple(list(model.names)[1:]), links, tips, couplings)
+    floats = floats_free(spec)
+    joints = tuple(list(model.names)[2 if floats else 1 :])
+    return RobotModel(model, joints, links, tips, couplings, floats)
+
+
+def floats_free(spec: dict[str, Any]) -> bool:
+    """Whether the base of a robot's table floats."""
+    return (spec.get("base") or {}).get("moves") == "free"
 
 
 def _base(base: dict[str, Any]) -> tuple[pin.Model, int, pin.SE3]:
     """A model of the base joints, the joint that carries the root link, and its pose there."""
     model, carrier, root = pin.Model(), 0, placement(base)
-    for move in base.get("moves", []):
+    free = base.get("moves") == "free"
+    if free:
+        root = pin.SE3.Identity()
+        carrier = model.addJoint(0, pin.JointModelFreeFlyer(), root, "free")
+    for move in [] if free else base.get("moves", []):
         carrier = model.addJoint(carrier, MOVES[move](), root, f"base_{move}")
         root = pin.SE3.Identity()
     if base.get("mass") is not None or base.get("inertia") is not None:
@@ -340,9 +355,18 @@ def start_of(scene: dict[str, Any], trees: TreeScene) -> TreeState:
         n = len(trees.robots[name].joints)
         positions[name] = np.array(spec.get("posture", np.zeros(n)), dtype=float)
         velocities[name] = np.array(spec.get("velocity", np.zeros(n)), dtype=float)
+    bases = {}
+    for name, spec in robot_tables(scene).items():
+        if trees.robots[name].floats:
+            X_WB = placement(spec["base"])
+            bases[name] = {
+                "position": X_WB.translation.copy(),
+                "quaternion_xyzw": Rotation.from_matrix(X_WB.rotation).as_quat(),
+                "twist": np.array(spec["base"].get("twist", np.zeros(6)), dtype=float),
+            }
     return TreeState(
         X_WO.translation.copy(), Rotation.from_matrix(X_WO.rotation).as_quat(),
-        np.array(box.get("twist", np.zeros(6)), dtype=float), positions, velocities,
+        np.array(box.get("twist", np.zeros(6)), dtype=float), positions, velocities, bases,
     )  # fmt: skip
 
 

@@ -40,6 +40,8 @@ class TreeSolution:
     object_acceleration : ndarray, shape (6,)
         Of the centre of mass (classical), and angular acceleration, world axes.
     joint_accelerations : dict robot -> ndarray, shape (n,)
+    base_accelerations : dict robot -> ndarray, shape (6,)
+        As that of the object, of the origin of a floating base.
     wrenches : dict connection -> ndarray, shape (6,)
         On the SECOND body, about the origin of the joint frame on SECOND, world axes.
     origins : dict connection -> ndarray, shape (3,)
@@ -54,6 +56,7 @@ class TreeSolution:
 
     object_acceleration: np.ndarray
     joint_accelerations: dict[str, np.ndarray]
+    base_accelerations: dict[str, np.ndarray]
     wrenches: dict[str, np.ndarray]
     origins: dict[str, np.ndarray]
     unique: dict[str, bool]
@@ -73,6 +76,7 @@ def disagreement(solution: TreeSolution, peer: TreeSolution) -> float:
     pairs += [
         (a, peer.joint_accelerations[name]) for name, a in solution.joint_accelerations.items()
     ]
+    pairs += [(a, peer.base_accelerations[name]) for name, a in solution.base_accelerations.items()]
     wrenches = [
         (wrench, peer.wrench(name, solution.origins[name]))
         for name, wrench in solution.wrenches.items()
@@ -92,6 +96,8 @@ def evaluation_errors(
     pairs = [(solution.object_acceleration, evaluation.object_acceleration)]
     for name, accelerations in solution.joint_accelerations.items():
         pairs.append((accelerations, evaluation.joint_accelerations[name]))
+    for name, acceleration in solution.base_accelerations.items():
+        pairs.append((acceleration, evaluation.base_accelerations[name]))
     wrenches = [
         (
             solution.wrench(name, about.get(name, solution.origins[name])),
@@ -158,16 +164,15 @@ def solve_minimal(
     M, f = block_diag(*[block.inertia for block in blocks]), [-block.bias for block in blocks]
     for k, name in enumerate(motions.names):
         if name in torques:
-            f[k] = f[k] + torques[name]
+            f[k][f[k].size - torques[name].size :] += torques[name]
     n = motions.coordinates.size
     couplings = collect(trees, motions.frame, n, motions.coordinates.rates)
     equations = Equations(M, np.concatenate(f), np.zeros((0, n)), np.zeros(0), couplings)
     a, multipliers, loose = solve_equations(equations)
-    bodies = motions.coordinates.bodies
-    free = motions.frame(BodyFrame(OBJECT, 1, pin.SE3.Identity()))
-    acceleration = free.jacobian @ a + free.bias
-    rates = {name: a[bodies[name]] for name in trees.robots}
-    return _solution(trees, acceleration, rates, couplings, multipliers, loose)
+    free = {name: motions.frame(on_body) for name, on_body in free_frames(trees).items()}
+    accelerations = {name: frame.jacobian @ a + frame.bias for name, frame in free.items()}
+    rates = {name: a[motions.coordinates.rates[name]] for name in trees.robots}
+    return _solution(trees, accelerations, rates, couplings, multipliers, loose)
 
 
 def solve_maximal(
@@ -188,10 +193,18 @@ def solve_maximal(
     couplings = collect(trees, links.frame, n, links.coordinates.rates)
     a, multipliers, loose = solve_equations(Equations(M, f, rows, gamma, couplings))
     rates = {name: a[links.coordinates.rates[name]] for name in trees.robots}
-    return _solution(trees, a[links.places[OBJECT, 1]], rates, couplings, multipliers, loose)
+    accelerations = {name: a[links.places[name, 1]] for name in free_frames(trees)}
+    return _solution(trees, accelerations, rates, couplings, multipliers, loose)
 
 
-def _solution(trees, object_acceleration, rates, couplings, multipliers, loose) -> TreeSolution:
+def free_frames(trees: TreeScene) -> dict[str, BodyFrame]:
+    """The frames of the object and of floating bases, by the body."""
+    floating = [name for name, robot in trees.robots.items() if robot.floats]
+    return {name: BodyFrame(name, 1, pin.SE3.Identity()) for name in (OBJECT, *floating)}
+
+
+def _solution(trees, accelerations, rates, couplings, multipliers, loose) -> TreeSolution:
+    bases = {name: a for name, a in accelerations.items() if name != OBJECT}
     wrenches, unique = {}, {}
     for name, rows in couplings.rows.items():
         wrenches[name] = couplings.on_second[name] @ multipliers[rows]
@@ -200,7 +213,7 @@ def _solution(trees, object_acceleration, rates, couplings, multipliers, loose) 
     mimics = [(name, mimic.joint) for name, mimic in mimics_of(trees)]
     first = multipliers.size - len(mimics)
     return TreeSolution(
-        object_acceleration, rates, wrenches, couplings.origins, unique,
+        accelerations[OBJECT], rates, bases, wrenches, couplings.origins, unique,
         dict(zip(mimics, multipliers[first:].tolist(), strict=True)),
         multipliers.size - loose.shape[1], multipliers.size,
     )  # fmt: skip
@@ -250,14 +263,16 @@ def worst_gap(trees: TreeScene, state: TreeState) -> float:
 def least_change(trees: TreeScene, state: TreeState) -> TreeState:
     """The state with the nearest velocities that keep connections and mimic couplings."""
     motions = Motions(trees, state)
-    n, bodies = motions.coordinates.size, motions.coordinates.bodies
-    A = collect(trees, motions.frame, n, motions.coordinates.rates).A
+    n, rates = motions.coordinates.size, motions.coordinates.rates
+    A = collect(trees, motions.frame, n, rates).A
     v = np.concatenate([motions.models[name].velocity for name in motions.names])
     v = v - np.linalg.pinv(A, rcond=RANK_TOLERANCE) @ (A @ v)
-    free = motions.frame(BodyFrame(OBJECT, 1, pin.SE3.Identity()))
+    free = {name: motions.frame(on_body) for name, on_body in free_frames(trees).items()}
+    twists = {name: frame.jacobian @ v for name, frame in free.items()}
     return TreeState(
-        state.object_position, state.object_quaternion_xyzw, free.jacobian @ v,
-        state.joint_positions, {name: v[bodies[name]] for name in trees.robots},
+        state.object_position, state.object_quaternion_xyzw, twists[OBJECT],
+        state.joint_positions, {name: v[rates[name]] for name in trees.robots},
+        {name: {**base, "twist": twists[name]} for name, base in state.bases.items()},
     )  # fmt: skip
 
 
@@ -324,19 +339,26 @@ class Motions:
     def __init__(self, trees: TreeScene, state: TreeState):
         self.names = (OBJECT, *trees.robots)
         q = np.concatenate([state.object_position, state.object_quaternion_xyzw])
-        R = pin.XYZQUATToSE3(q).rotation
-        linear, angular = np.split(state.object_twist, 2)
-        v = np.concatenate([R.T @ linear, R.T @ angular])
-        self.models = {OBJECT: _moved(trees.object_model, q, v)}
+        self.models = {OBJECT: _moved(trees.object_model, q, _in_body_axes(q, state.object_twist))}
         for name, robot in trees.robots.items():
-            rates = state.joint_velocities[name]
-            self.models[name] = _moved(robot.model, state.joint_positions[name], rates)
+            q, rates = state.joint_positions[name], state.joint_velocities[name]
+            if robot.floats:
+                base = state.bases[name]
+                pose = np.concatenate([base["position"], base["quaternion_xyzw"]])
+                q = np.concatenate([pose, q])
+                rates = np.concatenate([_in_body_axes(pose, base["twist"]), rates])
+            self.models[name] = _moved(robot.model, q, rates)
         ends = np.cumsum([0, *[self.models[name].velocity.size for name in self.names]]).tolist()
         places = {
             name: slice(*bounds)
             for name, *bounds in zip(self.names, ends[:-1], ends[1:], strict=True)
         }
-        self.coordinates = Coordinates(places, places, ends[-1])
+        rates = {
+            name: slice(place.stop - len(trees.robots[name].joints), place.stop)
+            for name, place in places.items()
+            if name != OBJECT
+        }
+        self.coordinates = Coordinates(places, rates, ends[-1])
 
     def frame(self, on_body: BodyFrame) -> FrameMotion:
         n = self.coordinates.size
@@ -360,6 +382,12 @@ class Motions:
             J,
             pin.getFrameClassicalAcceleration(model, data, at, axes).vector.copy(),
         )
+
+
+def _in_body_axes(pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
+    """A twist in the axes of the frame with this pose."""
+    R = pin.XYZQUATToSE3(pose).rotation
+    return np.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
 
 
 def _moved(model: pin.Model, q: np.ndarray, v: np.ndarray) -> ModelMotion:
@@ -402,6 +430,7 @@ class Links:
         for name, robot in trees.robots.items():
             rates[name] = slice(end, end := end + len(robot.joints))
         self.coordinates = Coordinates({}, rates, end)
+        self._floating = free_frames(trees)
 
     def inertia(self, name: str, i: int) -> pin.Inertia:
         return self.models[name].inertias[i]
@@ -426,6 +455,8 @@ class Links:
     def joint_rows(self, name: str, i: int) -> tuple[np.ndarray, np.ndarray]:
         """Five rows that hold link ``i`` on its parent, and one that is the rate of the joint."""
         model = self.models[name]
+        if i == 1 and name in self._floating:
+            return np.zeros((0, self.coordinates.size)), np.zeros(0)
         child = self.motion(name, i)
         parent = self.motion(name, model.parents[i]).placed(model.jointPlacements[i].homogeneous)
         slides, axis = joint_motion(model.joints[i])
@@ -438,5 +469,6 @@ class Links:
             along = Equation(0.0, s, -s, 0.0)
         rows = [row_of(equation, child, parent) for equation in [*held, along]]
         A, gamma = np.array([row for row, _ in rows]), np.array([bias for _, bias in rows])
-        A[-1, self.coordinates.rates[name].start + i - 1] = -1.0
+        first = 2 if name in self._floating else 1
+        A[-1, self.coordinates.rates[name].start + i - first] = -1.0
         return A, gamma

@@ -1,4 +1,4 @@
-"""Two scenes of the project's robots with several tips, as plain tables."""
+"""Scenes of robots with several tips or on floating bases, as plain tables."""
 
 from __future__ import annotations
 
@@ -97,3 +97,105 @@ def cart_scene() -> dict[str, Any]:
             },
         }
     )
+
+
+def satellite_scene(gravity: list[float] | None = None, **changes: Any) -> dict[str, Any]:
+    """A robot that floats and holds a box, all of it in motion."""
+    moments = [3.0, 3.0, 2.0, 0.0]
+    base = {
+        "moves": "free", "xyz": [0.1, -0.2, 0.3], "rpy": [0.3, -0.4, 0.5], "mass": 40.0,
+        "inertia": moments[:3], "twist": [0.1, -0.2, 0.05, 0.2, 0.1, -0.3],
+    }  # fmt: skip
+    hand = {"hand": "tool0"}
+    return together(
+        {
+            "name": "satellite",
+            "gravity": gravity,
+            "object": {
+                "shape": {"box": [0.2, 0.3, 0.1]},
+                "mass": 2.0,
+                "inertia": [0.0167, 0.0083, 0.0217],
+                "pose": {"xyz": [0.5, 0.1, 0.4]},
+            },
+            "robots": {
+                "sat": {
+                    "robot": "ur5", "base": base, "tips": hand,
+                    "posture": [0.2, -1.0, 1.2, 0.3, 0.5, -0.2],
+                }
+            },
+            "joints": [{"arm": "sat/hand", "kind": "weld"}],
+            "control": {
+                "kind": "harmonic",
+                "hold": False,
+                "frequency": 0.5,
+                "amplitude": {"sat": [4.0, -6.0, 5.0, 0.8, 0.6, -0.4]},
+            },
+            **changes,
+        }
+    )  # fmt: skip
+
+
+def humanoid_scene() -> dict[str, Any]:
+    """A humanoid robot with both hands on a box and both feet on the ground."""
+    feet = {"left_foot": "left_ankle_roll_link", "right_foot": "right_ankle_roll_link"}
+    hands = {"left": "left_rubber_hand", "right": "right_rubber_hand"}
+    return together(
+        {
+            "name": "humanoid with a box",
+            "gravity": DOWN,
+            "object": {
+                "shape": {"box": [0.2, 0.3, 0.2]},
+                "mass": 3.0,
+                "inertia": [0.0325, 0.02, 0.0325],
+                "pose": {"xyz": [0.3, 0.0, 1.0]},
+            },
+            "robots": {
+                "g1": {
+                    "robot": "g1_29dof_rev_1_0",
+                    "base": {"moves": "free", "xyz": [0.0, 0.0, 0.79], "rpy": [0.02, 0.05, 0.1]},
+                    "tips": {**hands, **feet},
+                }
+            },
+            "joints": [
+                *[{"arm": f"g1/{tip}", "kind": "weld"} for tip in hands],
+                *[{"between": [f"g1/{tip}", "world"], "kind": "weld"} for tip in feet],
+            ],
+        }
+    )
+
+
+def quadruped_scene(drop: float) -> dict[str, Any]:
+    """A quadruped robot with a box on its back, whose feet are ``drop`` [m] above the ground."""
+    feet = {"fl": "FL_FOOT", "fr": "FR_FOOT", "hl": "HL_FOOT", "hr": "HR_FOOT"}
+    below = 0.2447495  # [m], of the feet in this posture
+    up = drop + below
+    contact = {"kind": "point_on_plane", "mu": 0.8, "at": {}, "at_first": {}}
+    return {
+        "name": "quadruped",
+        "gravity": DOWN,
+        "object": {
+            "shape": {"box": [0.1, 0.1, 0.05]},
+            "mass": 0.5,
+            "inertia": [0.00052, 0.00052, 0.00083],
+            "pose": {"xyz": [0.0, 0.0, up + 0.1]},
+        },
+        "robots": {
+            "solo": {
+                "robot": "solo12",
+                "base": {"moves": "free", "xyz": [0.0, 0.0, up]},
+                "tips": {"back": "base_link", **feet},
+                "posture": [*[0.0, 0.7, -1.4] * 2, *[0.0, -0.7, 1.4] * 2],
+            }
+        },
+        "joints": [
+            {"arm": "solo/back", "kind": "weld"},
+            *[{"between": [f"solo/{foot}", "world"], **contact} for foot in feet],
+        ],
+        "effects": {"unilateral_contacts": {"start": "as_written"}},
+        "control": {
+            "kind": "joint_pd",
+            "stiffness": 20.0,
+            "damping": 0.5,
+            "gravity_compensation": False,
+        },
+    }

@@ -1,0 +1,199 @@
+"""Claims about robots whose base floats: their state, their equations, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+from tree_models import constant_torques, read_tree_scene, start_of
+from tree_oracle import Motions, evaluation_errors, least_change, solve_minimal
+from tree_scenes import DOWN, humanoid_scene, satellite_scene
+
+import multiarm as ma
+from multiarm.errors import ControlError, ModelError, MultiarmError, SceneError
+from multiarm.scene import parse_scene
+
+ROUNDING = 1e-12  # of sums of some tens of terms of order 1 to 100
+
+
+@pytest.fixture(scope="module")
+def satellite() -> ma.System:
+    return ma.compile_system(parse_scene(satellite_scene(DOWN)))
+
+
+def random_state(system: ma.System, rng: np.random.Generator):
+    base = {
+        "position": rng.normal(size=3),
+        "quaternion_xyzw": Rotation.random(random_state=rng).as_quat(),
+        "twist": rng.normal(size=6),
+    }
+    return system.state(
+        object_twist=rng.normal(size=6),
+        joint_positions={"sat": rng.normal(size=6)},
+        joint_velocities={"sat": rng.normal(size=6)},
+        bases={"sat": base},
+    )
+
+
+# --- state ---------------------------------------------------------------------------------------
+
+
+def test_a_state_has_the_base_apart_from_the_joints(satellite, rng):
+    state = random_state(satellite, rng)
+    assert state.joint_positions["sat"].shape == state.joint_velocities["sat"].shape == (6,)
+    base = state.bases["sat"]
+    written = satellite.scene.robots["sat"].base
+    start = satellite.initial_state().bases["sat"]
+    np.testing.assert_allclose(start.position, written.xyz, atol=ROUNDING)
+    turn = Rotation.from_quat(start.quaternion_xyzw) * Rotation.from_euler("xyz", written.rpy).inv()
+    assert turn.magnitude() < ROUNDING
+    as_written = ma.compile_system(satellite.scene, assemble=False).initial_state()
+    np.testing.assert_array_equal(as_written.bases["sat"].twist, written.twist)
+    again = satellite.state(bases={"sat": {"twist": base.twist}})
+    np.testing.assert_array_equal(again.bases["sat"].twist, base.twist)
+    np.testing.assert_array_equal(again.bases["sat"].pose, start.pose)
+
+
+def test_displacements_shift_and_turn_the_base_in_world_axes(satellite, rng):
+    state, layout = random_state(satellite, rng), satellite.model.layout
+    u = rng.uniform(-1.5, 1.5, layout.nv)
+    moved, (twist,) = state.displaced(u), layout.base_twists(u)
+    before, after = state.bases["sat"], moved.bases["sat"]
+    np.testing.assert_allclose(after.position, before.position + twist[:3], atol=ROUNDING)
+    turned = Rotation.from_rotvec(twist[3:]) * Rotation.from_quat(before.quaternion_xyzw)
+    assert (turned * Rotation.from_quat(after.quaternion_xyzw).inv()).magnitude() < ROUNDING
+    np.testing.assert_allclose(state.displacement_to(moved), u, atol=ROUNDING)
+    rates = layout.joint_rates(u)[6:]
+    shifts = moved.joint_positions["sat"] - state.joint_positions["sat"]
+    np.testing.assert_allclose(shifts, rates, atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "bases",
+    [
+        {"arm": {"position": [0, 0, 0]}},
+        {"sat": {"pose": [0, 0, 0]}},
+        {"sat": {"position": [0, 0]}},
+        {"sat": {"twist": [0, 0, 0, 0, 0, np.nan]}},
+        {"sat": {"quaternion_xyzw": [0, 0, 0, 0]}},
+        {"sat": [0, 0, 0]},
+        [0, 0, 0],
+    ],
+)
+def test_wrong_bases_are_refused(satellite, bases):
+    with pytest.raises(ModelError, match="bases"):
+        satellite.state(bases=bases)
+
+
+def test_tips_move_as_pinocchio_says(satellite, rng):
+    state = random_state(satellite, rng)
+    tip, base = satellite.kinematics(state).tips["sat/hand"], state.bases["sat"]
+    twist = tip.jacobian @ np.concatenate([base.twist, state.joint_velocities["sat"]])
+    np.testing.assert_allclose(twist, tip.twist, atol=ROUNDING)
+    model = read_tree_scene(satellite_scene(DOWN)).robots["sat"].model
+    q = np.concatenate([base.pose, state.joint_positions["sat"]])
+    data, R = model.createData(), pin.XYZQUATToSE3(base.pose).rotation
+    v = np.concatenate([R.T @ base.twist[:3], R.T @ base.twist[3:], state.joint_velocities["sat"]])
+    pin.forwardKinematics(model, data, q, v)
+    last = data.oMi[model.njoints - 1]
+    turn = last.rotation.T @ tip.rotation
+    origin = last.translation + last.rotation @ satellite.arms["sat"].tips["hand"].translation
+    np.testing.assert_allclose(origin, tip.position, atol=ROUNDING)
+    fixed = satellite.arms["sat"].tips["hand"].rotation
+    np.testing.assert_allclose(turn, fixed, atol=ROUNDING)
+
+
+# --- equations -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["node", "dense"])
+def test_accelerations_of_a_satellite_are_those_of_a_free_flyer(solver, rng):
+    """Off the joint too: its rows are those of the relative twist of both frames."""
+    scene = satellite_scene(DOWN, run={"solver": solver})
+    scene["control"] = {"kind": "constant", "torques": {"sat": [1.0, -2.0, 0.5, 0.3, 0.2, -0.1]}}
+    trees = read_tree_scene(scene)
+    state = least_change(trees, start_of(scene, trees))
+    system = ma.compile_system(parse_scene(scene))
+    evaluation = ma.evaluate(system, 0.0, system.state(**vars(state)))
+    solution = solve_minimal(trees, state, constant_torques(scene, trees))
+    about = {"sat/hand": state.object_position}
+    assert evaluation_errors(solution, evaluation, about) < ROUNDING
+    a = evaluation.accelerations
+    np.testing.assert_array_equal(a[6:12], evaluation.base_accelerations["sat"])
+
+
+@pytest.mark.slow
+def test_accelerations_of_a_humanoid_that_holds_a_box():
+    scene = humanoid_scene()
+    trees = read_tree_scene(scene)
+    state = start_of(scene, trees)
+    system = ma.compile_system(parse_scene(scene))
+    evaluation = ma.evaluate(system)
+    assert evaluation.rank == 24
+    solution = solve_minimal(trees, state, {})
+    assert np.max(np.abs(solution.base_accelerations["g1"])) > 0.01
+    hands = {f"g1/{side}": state.object_position for side in ("left", "right")}
+    assert evaluation_errors(solution, evaluation, hands) < 1e-9
+    total = sum(evaluation.wrenches[f"g1/{side}_foot-world"] for side in ("left", "right"))
+    motions = Motions(trees, state)
+    mass = sum(pin.computeTotalMass(motions.models[name].model) for name in motions.names)
+    assert total[2] < 0.0  # the feet push the ground down
+    assert abs(total[2]) < 1.5 * 9.81 * mass
+
+
+# --- what is refused -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        ma.derivatives,
+        ma.linearise,
+        ma.find_equilibrium,
+        lambda system: ma.inverse_dynamics(system, system.initial_state(), np.zeros(6)),
+        lambda system: ma.sensitivities(system, [0.1], parameters=["object.mass"]),
+        lambda system: ma.gradient(system, 0.1, final=lambda t, state: state.object_position[2]),
+    ],
+)
+def test_what_needs_derivatives_names_the_floating_base(satellite, call):
+    with pytest.raises(MultiarmError, match=r"the base of robot 'sat' floats"):
+        call(satellite)
+
+
+@pytest.mark.parametrize(("integrator", "step"), [("rodas5p", None), ("variational", 1e-3)])
+def test_methods_that_need_derivatives_are_refused(satellite, integrator, step):
+    with pytest.raises(SceneError, match=r"robot 'sat'.*use another method"):
+        ma.simulate(satellite, 0.01, integrator=integrator, step=step)
+
+
+@pytest.mark.parametrize(
+    "control",
+    [
+        "gravity_compensation",
+        {"kind": "joint_pd", "stiffness": 10.0, "damping": 1.0},
+        {"kind": "harmonic", "frequency": 1.0, "amplitude": {"sat": [1.0] * 6}, "hold": True},
+        {"kind": "computed_torque", "path": [{"time": 1.0, "xyz": [0.5, 0.1, 0.5]}]},
+    ],
+)
+def test_controls_that_rest_on_the_base_are_refused(control):
+    with pytest.raises(ControlError, match=r"base that floats.*'sat'"):
+        ma.compile_system(parse_scene(satellite_scene(DOWN, control=control)))
+
+
+def test_postures_are_not_found_beside_a_floating_base():
+    scene = satellite_scene()
+    scene["robots"]["sat"]["posture"] = "solve"
+    with pytest.raises(SceneError, match=r"robots\.sat\.posture.*base floats"):
+        ma.compile_system(parse_scene(scene))
+
+
+@pytest.mark.parametrize(
+    "key", [{"limits": {"x": [0, 1]}}, {"effort": {"x": 1.0}}, {"moves": ["x"], "twist": [0.0] * 6}]
+)
+def test_keys_of_other_bases_are_refused(key):
+    scene = satellite_scene()
+    base = {k: v for k, v in scene["robots"]["sat"]["base"].items() if k != "twist"}
+    scene["robots"]["sat"]["base"] = {**base, **key}
+    with pytest.raises(SceneError, match=r"robots\.sat\.base"):
+        parse_scene(scene)

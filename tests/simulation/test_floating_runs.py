@@ -1,0 +1,218 @@
+"""Claims about runs of robots whose base floats: momenta, free fall, energy, a dense reference."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from random_trees import draw_trees
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from tree_models import TreeScene, TreeState, read_tree_scene
+from tree_oracle import Motions, solve_minimal
+from tree_scenes import DOWN, quadruped_scene, satellite_scene
+
+import multiarm as ma
+from multiarm.scene import parse_scene
+
+METHODS = {
+    "semi_implicit_euler": {"step": 2.5e-4},
+    "rk4": {"step": 1e-3},
+    "dopri5": {"tolerance": 1e-10},
+    "dop853": {"tolerance": 1e-10},
+}
+
+
+def system_of(scene) -> ma.System:
+    return ma.compile_system(parse_scene(scene))
+
+
+def tree_state(run: ma.Trajectory, k: int) -> TreeState:
+    bases = {
+        name: {
+            "position": base.position[k],
+            "quaternion_xyzw": base.quaternion_xyzw[k],
+            "twist": base.twist[k],
+        }
+        for name, base in run.bases.items()
+    }
+    return TreeState(
+        run.object_position[k], run.object_quaternion_xyzw[k], run.object_twist[k],
+        {name: q[k] for name, q in run.joint_positions.items()},
+        {name: v[k] for name, v in run.joint_velocities.items()}, bases,
+    )  # fmt: skip
+
+
+def momenta(trees: TreeScene, state: TreeState) -> np.ndarray:
+    """Linear and angular momentum about the world's origin [N s, N m s], and the centre of mass."""
+    motions, total, moment, mass = Motions(trees, state), np.zeros(6), np.zeros(3), 0.0
+    for name in motions.names:
+        moved = motions.models[name]
+        data = moved.model.createData()
+        h = pin.computeCentroidalMomentum(moved.model, data, moved.position, moved.velocity)
+        centre = pin.centerOfMass(moved.model, data, moved.position)
+        total += np.concatenate([h.linear, h.angular + np.cross(centre, h.linear)])
+        of_robot = pin.computeTotalMass(moved.model)
+        moment, mass = moment + of_robot * centre, mass + of_robot
+    return np.concatenate([total, moment / mass])
+
+
+def test_without_gravity_momenta_are_constant_while_the_arm_moves():
+    scene = satellite_scene()
+    trees, system = read_tree_scene(scene), system_of(scene)
+    run = ma.simulate(system, 10.0, integrator="dop853", tolerance=1e-13, output_step=0.5)
+    assert run.status == "completed", run.message
+    assert np.max(np.ptp(run.joint_positions["sat"], axis=0)) > 1.0
+    courses = np.array([momenta(trees, tree_state(run, k))[:6] for k in range(len(run))])
+    assert np.max(np.abs(courses[0])) > 1.0
+    # errors of the steps add up, at most as many as there are steps
+    steps = run.statistics["steps"]
+    np.testing.assert_allclose(courses, courses[:1].repeat(len(run), 0), atol=1e-13 * steps)
+    assert np.max(run.position_drift) < 1e-13
+    np.testing.assert_allclose(run.energy_balance, 0.0, atol=1e-11)
+
+
+def test_the_centre_of_mass_falls_freely():
+    scene = satellite_scene([1.0, 2.0, -9.0])
+    trees = read_tree_scene(scene)
+    run = ma.simulate(system_of(scene), 1.0, integrator="dop853", tolerance=1e-12)
+    begin, end = (momenta(trees, tree_state(run, k)) for k in (0, -1))
+    mass = sum(pin.computeTotalMass(robot.model) for robot in trees.robots.values()) + 2.0
+    fallen = begin[6:] + begin[:3] / mass + 0.5 * np.array([1.0, 2.0, -9.0])
+    np.testing.assert_allclose(end[6:], fallen, atol=1e-10)
+    np.testing.assert_allclose(run.energy_balance, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_agrees_with_the_finest(method):
+    system = system_of(satellite_scene(DOWN))
+    finest = ma.simulate(system, 0.2, integrator="dop853", tolerance=1e-13)
+    run = ma.simulate(system, 0.2, integrator=method, **METHODS[method])
+    assert run.status == "completed", run.message
+    apart = np.max(np.abs(run.bases["sat"].position - finest.bases["sat"].position))
+    turns = [Rotation.from_quat(r.bases["sat"].quaternion_xyzw) for r in (run, finest)]
+    apart = max(apart, np.max((turns[0] * turns[1].inv()).magnitude()))
+    # of order 1: half the step times acceleration and duration
+    assert apart < (0.5 * 2.5e-4 * 10.0 * 0.2 if method == "semi_implicit_euler" else 1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_motion_is_that_of_the_dense_reference(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    scene, trees, state, torques = draw_trees("floating_bases", rng, tmp_path)
+    run = ma.simulate(system_of(scene), 0.05, integrator="dop853", tolerance=1e-11)
+    assert run.status == "completed", run.message
+    end, reference = tree_state(run, -1), dense_motion(trees, state, torques, 0.05)
+    # errors of the reference, whose gaps are not closed again: its tolerance times the condition
+    for name, base in reference.bases.items():
+        for part, values in base.items():
+            same = end.bases[name][part]
+            sign = np.sign(same @ values) if part == "quaternion_xyzw" else 1.0
+            np.testing.assert_allclose(sign * same, values, atol=2e-8)
+    for name, positions in reference.joint_positions.items():
+        np.testing.assert_allclose(end.joint_positions[name], positions, atol=2e-8)
+    np.testing.assert_allclose(end.object_position, reference.object_position, atol=2e-8)
+
+
+def dense_motion(trees: TreeScene, state: TreeState, torques, end: float) -> TreeState:
+    """The state at the end, by SciPy, from accelerations of dense algebra."""
+    places = [("object_position", 3), ("object_quaternion_xyzw", 4), ("object_twist", 6)]
+    names, bases = list(trees.robots), list(state.bases)
+    sizes = [size for _, size in places] + [13] * len(bases)
+    sizes += [2 * state.joint_positions[name].size for name in names]
+
+    def stacked(now: TreeState) -> np.ndarray:
+        parts = [getattr(now, place) for place, _ in places]
+        parts += [np.concatenate([*now.bases[name].values()]) for name in bases]
+        parts += [np.append(now.joint_positions[n], now.joint_velocities[n]) for n in names]
+        return np.concatenate(parts)
+
+    def state_of(y: np.ndarray) -> TreeState:
+        x, turn, twist, *rest = np.split(y, np.cumsum(sizes)[:-1])
+        of_bases = {}
+        for name, part in zip(bases, rest, strict=False):
+            quaternion = part[3:7] / np.linalg.norm(part[3:7])
+            values = part[:3], quaternion, part[7:]
+            of_bases[name] = dict(zip(state.bases[name], values, strict=True))
+        halves = {n: np.split(p, 2) for n, p in zip(names, rest[len(bases) :], strict=True)}
+        q, v = ({n: half[k] for n, half in halves.items()} for k in (0, 1))
+        return TreeState(x, turn / np.linalg.norm(turn), twist, q, v, of_bases)
+
+    def turning(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
+        vector, w = quaternion[:3], quaternion[3]
+        return 0.5 * np.append(w * omega + np.cross(omega, vector), -omega @ vector)
+
+    def slope(_, y: np.ndarray) -> np.ndarray:
+        now = state_of(y)
+        solution = solve_minimal(trees, now, torques)
+        parts = [now.object_twist[:3], turning(now.object_quaternion_xyzw, now.object_twist[3:])]
+        parts.append(solution.object_acceleration)
+        for name in bases:
+            _, quaternion, twist = now.bases[name].values()
+            parts += [twist[:3], turning(quaternion, twist[3:]), solution.base_accelerations[name]]
+        for name in names:
+            parts += [now.joint_velocities[name], solution.joint_accelerations[name]]
+        return np.concatenate(parts)
+
+    y = solve_ivp(slope, (0.0, end), stacked(state), method="DOP853", rtol=1e-10, atol=1e-10).y
+    return state_of(y[:, -1])
+
+
+def test_a_stepper_and_a_file_have_the_bases(tmp_path):
+    system = system_of(satellite_scene(DOWN))
+    stepper = ma.Stepper(system, accuracy=1e-8)
+    state = stepper.advance(0.02, torques={"sat": np.ones(6)})
+    run = ma.simulate(
+        system.with_control(lambda t, _: {"sat": np.ones(6)}), 0.02, accuracy=1e-8, output_step=0.01
+    )
+    base = run.bases["sat"]
+    np.testing.assert_allclose(state.bases["sat"].position, base.position[-1], atol=1e-9)
+    np.testing.assert_allclose(state.bases["sat"].twist, base.twist[-1], atol=1e-8)
+    run.save(tmp_path / "run.h5")
+    stored = ma.load_trajectory(tmp_path / "run.h5").bases["sat"]
+    for part in ("position", "quaternion_xyzw", "twist"):
+        np.testing.assert_array_equal(getattr(stored, part), getattr(base, part))
+
+
+def test_a_law_that_writes_torques_of_all_joints_does_not_drive_the_base():
+    scene = satellite_scene(control={"kind": "joint_pd", "stiffness": 50.0, "damping": 5.0})
+    trees = read_tree_scene(scene)
+    run = ma.simulate(system_of(scene), 0.5, integrator="dop853", tolerance=1e-12)
+    begin, end = (momenta(trees, tree_state(run, k))[:6] for k in (0, -1))
+    np.testing.assert_allclose(end, begin, atol=1e-11)
+
+
+def test_joint_stops_and_friction_count_the_joints_after_the_base():
+    ends = {"range": {"sat": {"elbow_joint": [1.19, 1.21]}}}
+    friction = {"model": "set_valued", "torque": {"sat": {"wrist_3_joint": 50.0}}}
+    effects = {"joint_limits": ends, "joint_friction": friction}
+    scene = satellite_scene(effects=effects)
+    trees = read_tree_scene(scene)
+    run = ma.simulate(system_of(scene), 0.5, accuracy=1e-7)
+    assert run.status == "completed", run.message
+    q = run.joint_positions["sat"]
+    assert np.max(q[:, 2]) < 1.21 + 1e-9 and np.min(q[:, 2]) > 1.19 - 1e-9
+    assert any(event.get("joint") == "elbow_joint" for event in run.events)
+    assert np.max(np.abs(np.diff(run.joint_positions["sat"][-10:, 5]))) < 1e-9  # it sticks
+    begin, end = (momenta(trees, tree_state(run, k))[:6] for k in (0, -1))
+    np.testing.assert_allclose(end, begin, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_quadruped_lands_on_its_feet_and_stands():
+    """It falls freely until all feet touch; standing, they carry its weight, within friction."""
+    drop = 0.1  # [m]
+    scene = quadruped_scene(drop)
+    system = system_of(scene)
+    run = ma.simulate(system, 1.0, accuracy=1e-6)
+    assert run.status == "completed", run.message
+    touches = [event for event in run.events if event["kind"] == "touches"]
+    feet = {"solo/fl-world", "solo/fr-world", "solo/hl-world", "solo/hr-world"}
+    assert {event["arm"] for event in touches} == feet
+    assert touches[0]["time"] == pytest.approx(np.sqrt(2.0 * drop / 9.81), abs=1e-6)
+    mass = pin.computeTotalMass(read_tree_scene(scene).robots["solo"].model) + 0.5
+    assert np.max(np.abs(run.bases["solo"].twist[-1])) < 1e-3
+    total = sum(run.wrenches[foot][-1, :3] for foot in feet)  # on the world
+    np.testing.assert_allclose(total, [0.0, 0.0, -9.81 * mass], atol=1e-2 * mass)
+    np.testing.assert_allclose(run.energy_balance, 0.0, atol=1e-6)
