@@ -61,6 +61,7 @@ from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
 from multiarm.dynamics.solver.factors import rank_of
+from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.jit.rows import fields_of
@@ -86,9 +87,7 @@ def differentiate(
     equations = _Equations(data, parameters, columns)
     dependent, message = layout.contacts - evaluation.rank, ""
     independent = dependent == 0
-    on_ground = layout.surroundings.start < layout.contacts
-    coupled = evaluation.coupled_arms or data.model.constants.dense or on_ground
-    by_arms = independent and not coupled
+    by_arms = independent and _stand_alone(data)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
     motions = equations.motions(independent)
@@ -115,6 +114,17 @@ def differentiate(
             message += "; placements that would contradict the others have none either"
     matrix = matrix[:, : max(part.stop for part in columns.values())]
     return Derivatives(evaluation, matrix, rows, columns, layout, message, motions)
+
+
+def _stand_alone(data: Data) -> bool:
+    """Whether the equations of every arm, of those of the last solution, are regular on their own.
+
+    With friction arms are coupled without being counted where all constraints are independent.
+    """
+    elimination = data.arrays.solution.elimination
+    if elimination == Elimination.FRICTION:
+        return not np.any(data.arrays.deficient.coupled)
+    return bool(elimination == Elimination.WHOLE)
 
 
 def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives) -> np.ndarray:
