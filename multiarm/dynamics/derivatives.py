@@ -60,6 +60,7 @@ from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.dense import reciprocal_lengths
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.status import OK
@@ -204,7 +205,7 @@ class _Equations:
             right[:, :states] = right[:, :states] @ admissible
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
-        scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+        scale[size:] = reciprocal_lengths(lengths)
         u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
         rank = rank_of(singular, SYSTEM_TOLERANCE)
         right = u.T @ (scale[:, None] * right)
