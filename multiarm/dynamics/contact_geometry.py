@@ -35,7 +35,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import is_tip_of_arm, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
 from multiarm.dynamics.model import Model
-from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import ModelError, SceneError
@@ -174,8 +174,8 @@ def constraint_matrix(data: Evaluated) -> np.ndarray:
 
 
 def of_unit_length(columns: np.ndarray) -> np.ndarray:
-    """Columns of length 1 with the same directions."""
-    return columns / np.linalg.norm(columns, axis=0)
+    """Columns of length 1 with the same directions; those that are roundings stay so."""
+    return columns * reciprocal_lengths(np.linalg.norm(columns, axis=0))
 
 
 def scaled_force_directions(data: Evaluated) -> np.ndarray:

@@ -60,7 +60,9 @@ from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.dense import reciprocal_lengths
 from multiarm.dynamics.solver.factors import rank_of
+from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.jit.rows import fields_of
@@ -86,9 +88,7 @@ def differentiate(
     equations = _Equations(data, parameters, columns)
     dependent, message = layout.contacts - evaluation.rank, ""
     independent = dependent == 0
-    on_ground = layout.surroundings.start < layout.contacts
-    coupled = evaluation.coupled_arms or data.model.constants.dense or on_ground
-    by_arms = independent and not coupled
+    by_arms = independent and _stand_alone(data)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
     motions = equations.motions(independent)
@@ -115,6 +115,17 @@ def differentiate(
             message += "; placements that would contradict the others have none either"
     matrix = matrix[:, : max(part.stop for part in columns.values())]
     return Derivatives(evaluation, matrix, rows, columns, layout, message, motions)
+
+
+def _stand_alone(data: Data) -> bool:
+    """Whether the equations of every arm, of those of the last solution, are regular on their own.
+
+    With friction arms are coupled without being counted where all constraints are independent.
+    """
+    elimination = data.arrays.solution.elimination
+    if elimination == Elimination.FRICTION:
+        return not np.any(data.arrays.deficient.coupled)
+    return bool(elimination == Elimination.WHOLE)
 
 
 def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives) -> np.ndarray:
@@ -194,7 +205,7 @@ class _Equations:
             right[:, :states] = right[:, :states] @ admissible
         scale = np.concatenate([1.0 / np.sqrt(np.diag(K)[:size]), np.ones(layout.contacts)])
         lengths = np.linalg.norm(scale[:size, None] * K[:size, size:], axis=0)
-        scale[size:] = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+        scale[size:] = reciprocal_lengths(lengths)
         u, singular, vt = np.linalg.svd(scale[:, None] * K * scale)
         rank = rank_of(singular, SYSTEM_TOLERANCE)
         right = u.T @ (scale[:, None] * right)

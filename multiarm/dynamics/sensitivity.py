@@ -16,7 +16,7 @@ import numpy as np
 from multiarm.dynamics.evaluation import Evaluation, rows_by_owner
 from multiarm.dynamics.layout import STATE, Layout
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
-from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
 
@@ -215,8 +215,8 @@ def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
     In the order of the columns of :class:`Derivatives`.
     """
     constraints = np.stack([motion.constraint for motion in motions])
-    lengths = np.linalg.norm(constraints, axis=2, keepdims=True)
-    constraints /= np.where(lengths > 0.0, lengths, 1.0)
+    lengths = np.linalg.norm(constraints, axis=2)
+    constraints *= reciprocal_lengths(lengths)[:, :, None]
     if all(motion.independent for motion in motions):
         whole = np.linalg.qr(constraints.transpose(0, 2, 1), mode="complete").Q
         return list(whole[:, :, constraints.shape[1] :])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -12,7 +13,12 @@ from multiarm.dynamics.sensitivity import Derivatives, rows_of
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
-from multiarm.events.evaluation import enter_mode_at, in_all_rows, with_contradictions
+from multiarm.events.evaluation import (
+    enter_mode_at,
+    in_all_rows,
+    unique_forces,
+    with_contradictions,
+)
 
 
 def derivatives(
@@ -68,6 +74,7 @@ def derivatives(
                 "this state; leave out contacts that others make redundant, or friction"
             )
         evaluated = evaluation.evaluate(modes.data, t, state)
+        evaluated = replace(evaluated, _unique=partial(unique_forces, modes))
         of_held_rows = differentiate(modes.data, evaluated, closed_loop, parameters)
         layout, states = data.model.layout, len(of_held_rows.effect_state_rates.matrix)
         rows = rows_of(layout, states)

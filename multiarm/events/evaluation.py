@@ -170,6 +170,12 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     return forces, unique
 
 
+def unique_forces(modes: Modes) -> np.ndarray:
+    """Which forces of the held rows are unique, at the last evaluation of the mode's data."""
+    _, unique = _all_forces(modes)
+    return unique[modes.data.rows]
+
+
 def _residuals(
     modes: Modes, without_contacts: np.ndarray, forces: np.ndarray, constraint: float
 ) -> Residuals:

@@ -42,6 +42,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.sensitivity import Derivatives, Motions
 from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.dense import reciprocal_lengths
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
@@ -247,8 +248,8 @@ class Parameter:
         fastest = max(1.0, np.abs(state.velocity).max())
         if np.ptp(gaps, axis=0).max(initial=0.0) > self._gap_roundings * fastest:
             C = motions.constraint
-            lengths = np.maximum(np.linalg.norm(C, axis=1), TINY)
-            closing = np.linalg.pinv(C / lengths[:, None], SYSTEM_TOLERANCE) / lengths
+            scale = reciprocal_lengths(np.linalg.norm(C, axis=1))
+            closing = np.linalg.pinv(scale[:, None] * C, SYSTEM_TOLERANCE) * scale
             for _ in range(NEWTON_STEPS):
                 moves -= gaps @ closing.T
                 evaluated = [

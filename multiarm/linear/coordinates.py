@@ -30,7 +30,7 @@ from scipy.linalg import qr
 
 from multiarm.dynamics.sensitivity import Motions
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
-from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 
 # Weight of the object's coordinates against joints.
 PREFERENCE = 10.0
@@ -88,8 +88,7 @@ def _free(rows: np.ndarray, L: np.ndarray) -> np.ndarray:
 def _scaled(rows: np.ndarray, L: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of rows that give them length 1 in the metric of the inertia, and these rows."""
     scaled = np.linalg.solve(L, rows.T).T
-    lengths = np.linalg.norm(scaled, axis=1, keepdims=True)
-    scale = 1.0 / np.where(lengths > 0.0, lengths, 1.0)
+    scale = reciprocal_lengths(np.linalg.norm(scaled, axis=1))[:, None]
     return scale, scale * scaled
 
 

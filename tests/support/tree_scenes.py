@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 from random_trees import close_joints
 from tree_models import pose_of, read_tree_scene, start_of
+from tree_oracle import least_change
 
 DOWN = [0.0, 0.0, -9.81]
 # Torso [m], then each arm [rad]: hands 1.1 m above the floor, one in front of each shoulder.
@@ -199,3 +200,26 @@ def quadruped_scene(drop: float) -> dict[str, Any]:
             "gravity_compensation": False,
         },
     }
+
+
+def turned_gripper(moves: tuple[str, ...] = ()) -> dict[str, Any]:
+    """A moving four-bar gripper in general position that carries a box with its left pad.
+
+    Four rows hold its hinges in their planes, which they are in anyway: these rows are zero but for
+    roundings.
+    """
+    base, count = {"xyz": [0.1, 0.2, 0.5], "rpy": [0.3, 0.5, 0.7]}, len(moves)
+    scene = gripper_scene()
+    gripper = scene["robots"]["gripper"]
+    gripper["base"] = {**base, "moves": list(moves)} if moves else base
+    gripper["posture"] = [0.1] * count + [0.3] * 6
+    gripper["velocity"] = [0.2] * count + [0.8] * 6
+    torques = [0.1] * count + [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
+    scene["control"] = {"kind": "constant", "torques": {"gripper": torques}}
+    scene["joints"] = [{"arm": "gripper/left", "kind": "weld"}, *gripper_loops("gripper")]
+    scene = together(scene)
+    trees = read_tree_scene(scene)
+    state = least_change(trees, start_of(scene, trees))
+    scene["object"]["twist"] = state.object_twist.tolist()
+    gripper["velocity"] = state.joint_velocities["gripper"].tolist()
+    return scene

@@ -89,6 +89,10 @@ RANK_TOLERANCE = 1e-9
 # those of W: for the scaled W it is the root of this number.
 SYSTEM_TOLERANCE = 1e-12
 
+# Rows of constraints shorter than this part of the longest are roundings of terms that cancel, as
+# those of a hinge of a plane linkage that hold it in its plane: they are zero.
+ROUNDED_ROW = 1e-12
+
 # Null vectors with a smaller motion do not move the system: constraints that are dependent up to
 # rounding leave motions of the square root of SYSTEM_TOLERANCE.
 UNMOVED = 1e-5

@@ -24,6 +24,7 @@ import numpy as np
 from multiarm.dynamics.solver.bounds import (
     PART_TOLERANCE,
     RANK_TOLERANCE,
+    ROUNDED_ROW,
     SYSTEM_TOLERANCE,
     UNMOVED,
 )
@@ -87,8 +88,8 @@ def solve_dense(
     matrix[:size, size:] = -reactions
     matrix[size:, :size] = constraint.T
     right = np.concatenate([f_o, *f_j, *c])
-    rows = np.concatenate([scale, _reciprocal_norms(scale[:, None] * constraint)])
-    columns = np.concatenate([scale, _reciprocal_norms(scale[:, None] * reactions)])
+    rows = np.concatenate([scale, _column_factors(scale[:, None] * constraint)])
+    columns = np.concatenate([scale, _column_factors(scale[:, None] * reactions)])
     scaled = rows[:, None] * matrix * columns
     x, rank = _solve_regular(scaled, rows * right), count
     unique, moving = np.ones(count, dtype=bool), np.zeros((count, 0))
@@ -151,7 +152,7 @@ def _moving(free: np.ndarray, size: int) -> np.ndarray:
 
 def _of_lower_rank(constraint: np.ndarray, scale: np.ndarray, tolerance: float) -> np.ndarray:
     """A constraint matrix (n, N) without what its small singular values contribute."""
-    norms = _reciprocal_norms(scale[:, None] * constraint)
+    norms = _column_factors(scale[:, None] * constraint)
     u, singular, vt = np.linalg.svd(scale[:, None] * constraint * norms, full_matrices=False)
     rank = rank_of(singular, tolerance)
     if rank == singular.size:
@@ -159,10 +160,19 @@ def _of_lower_rank(constraint: np.ndarray, scale: np.ndarray, tolerance: float) 
     return (u[:, :rank] * singular[:rank]) @ vt[:rank] / scale[:, None] / norms
 
 
-def _reciprocal_norms(matrix: np.ndarray) -> np.ndarray:
-    """One over the length of every column; 1 for columns of zeros."""
-    norms = np.linalg.norm(matrix, axis=0)
-    return 1.0 / np.where(norms > 0.0, norms, 1.0)
+def reciprocal_lengths(lengths: np.ndarray) -> np.ndarray:
+    """Factors (..., m) that give rows of these lengths length 1, but keep those that are roundings.
+
+    The lengths of a matrix are those along the last axis.
+    """
+    longest = np.max(lengths, axis=-1, keepdims=True, initial=0.0)
+    longest = np.where(longest > 0.0, longest, 1.0)
+    return 1.0 / np.where(lengths > ROUNDED_ROW * longest, lengths, longest)
+
+
+def _column_factors(matrix: np.ndarray) -> np.ndarray:
+    """Factors that give the columns length 1."""
+    return reciprocal_lengths(np.linalg.norm(matrix, axis=0))
 
 
 class NullSpace(NamedTuple):

@@ -34,11 +34,13 @@ from multiarm.dynamics.solver.bounds import (
     CORE_TOLERANCE,
     COUPLED_RANK_TOLERANCE,
     PART_TOLERANCE,
+    ROUNDED_ROW,
 )
 from multiarm.dynamics.solver.factors import (
     backward,
     decompose,
     forward,
+    norm,
     rank_of,
     solve_lu,
     solve_lu_transposed,
@@ -80,7 +82,7 @@ def decompose_coupled(work, W_o, Wr_o):
 
 @inlined
 def write_columns(work, W_o, Wr_o):
-    """Columns of G and G~, scaled to unit length (columns of zeros are not scaled)."""
+    """Columns of G and G~, scaled to unit length (columns of zeros and roundings stay such)."""
     count, length = 0, NODE
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
@@ -100,9 +102,24 @@ def write_columns(work, W_o, Wr_o):
             count += 1
         length += d
     work.status.contacts, work.status.length = count, length
+    normalize_columns(work.U, count, length, work.scale)
+    normalize_columns(work.Ur, count, length, work.scale_r)
+
+
+@kernel
+def normalize_columns(vectors, count, n, factors):
+    """Scale vectors to unit length, but for roundings of the longest, and write the factors."""
+    longest = 0.0
     for k in range(count):
-        work.scale[k] = normalize(work.U[k], length)
-        work.scale_r[k] = normalize(work.Ur[k], length)
+        factors[k] = norm(vectors[k], n)
+        longest = max(longest, factors[k])
+    for k in range(count):
+        if factors[k] == 0.0:
+            factors[k] = 1.0
+            continue
+        factors[k] = 1.0 / (factors[k] if factors[k] > ROUNDED_ROW * longest else longest)
+        for i in range(n):
+            vectors[k, i] *= factors[k]
 
 
 @kernel
