@@ -34,7 +34,7 @@ from multiarm.viewer.animation import (
     HingeTracks,
     moving,
 )
-from multiarm.viewer.body_poses import BodyPoses
+from multiarm.viewer.body_poses import BodyPoses, positions_at
 from multiarm.viewer.commands import rgb
 from multiarm.viewer.contact_tracks import (
     contacts_of,
@@ -74,7 +74,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     system, missing = _system(trajectory)
     colors = colors_of(system)
     poses = BodyPoses(system, trajectory, rows)
-    links, feet, floors = _robots(system, poses.angles, colors, Shapes(meshes))
+    links, feet, floors = _robots(system, poses.configurations, colors, Shapes(meshes))
     bodies = [_object(trajectory, rows), *links]
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
@@ -106,13 +106,8 @@ def _system(trajectory: Trajectory) -> tuple[System, list[str]]:
     """What is to be drawn, at the run's first sample, and what is not for lack of its code."""
     # without its control, whose tables need not exist any more
     scene = trajectory.simulated_scene.model_copy(update={"control": NoControl()})
-    start = {
-        "object_position": trajectory.object_position[0],
-        "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[0],
-        "joint_positions": {arm: q[0] for arm, q in trajectory.joint_positions.items()},
-    }
     scene, left_out = without_code(scene)
-    system = geometry_of(scene, start)
+    system = geometry_of(scene, positions_at(trajectory, 0))
     not_drawn = [item for item in left_out if item.arm]
     if not not_drawn:
         return system, []
@@ -181,23 +176,26 @@ def _palette_color(i: int) -> np.ndarray:
 
 
 def _robots(
-    system: System, angles: dict[str, np.ndarray], colors: dict[str, np.ndarray], shapes: Shapes
+    system: System,
+    configurations: dict[str, np.ndarray],
+    colors: dict[str, np.ndarray],
+    shapes: Shapes,
 ) -> tuple[list[Body], dict[str, np.ndarray], list[float]]:
     """Return links, the poses on which robots with fixed bases stand, and heights of the floor."""
     bodies, feet, floors = [], {}, []
     for group in system.scene.arm_groups:
         arms = [system.arms[name] for name in group.arms]
-        links, trunk = bodies_of_arms(arms, angles, colors, shapes)
+        links, trunk = bodies_of_arms(arms, configurations, colors, shapes)
         bodies += links + trunk
         feet[group.arms[0]] = foot = arms[0].files.base.copy()
         foot[2, 3] = min([foot[2, 3], *map(lowest, trunk)])
         floors.append(foot[2, 3])
     for name, spec in system.scene.robots.items():
         tips = {tip: colors[f"{name}/{tip}"] for tip in spec.tips}
-        links, base = bodies_of_robot(system.arms[name], angles[name], tips, shapes)
+        links, base = bodies_of_robot(system.arms[name], configurations[name], tips, shapes)
         bodies += links
         foot = system.arms[name].files.base.copy()
-        if foot[2, 2] < UPRIGHT:  # it hangs
+        if foot[2, 2] < UPRIGHT or spec.base.floats:  # it stands on nothing
             continue
         foot[2, 3] = min([foot[2, 3], *map(lowest, base)])
         floors.append(foot[2, 3])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from multiarm.arms.base_motion import BaseMotion
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.viewer.animation import rotations
@@ -13,7 +15,7 @@ from multiarm.viewer.animation import rotations
 if TYPE_CHECKING:
     from multiarm.dynamics.state import State
     from multiarm.dynamics.system import System
-    from multiarm.results.trajectory import Trajectory
+    from multiarm.results.trajectory import BaseChannels, Trajectory
 
 
 class BodyPoses:
@@ -23,14 +25,22 @@ class BodyPoses:
     ----------
     rows : ndarray, shape (K,)
         The samples.
-    angles : dict robot -> ndarray, shape (K, n)
-        Joint positions [rad] or [m].
+    configurations : dict robot -> ndarray, shape (K, nq)
+        Pinocchio's, see :meth:`multiarm.arms.arm.Arm.configuration`.
     """
 
     def __init__(self, system: System, trajectory: Trajectory, rows: np.ndarray) -> None:
         self._system, self.rows = system, rows
-        positions = trajectory.joint_positions
-        self.angles = {name: positions[name][rows] for name in system.arm_names}
+        positions, bases = trajectory.joint_positions, trajectory.bases
+        self._angles = {name: positions[name][rows] for name in system.arm_names}
+        self._bases = {
+            name: _base_motions(bases[name], rows) if name in bases else [None] * len(rows)
+            for name in system.arm_names
+        }
+        self.configurations = {
+            name: np.array([arm.configuration(*at) for at in self._states_of(name)])
+            for name, arm in system.arms.items()
+        }
         self._of_bodies = {OBJECT: np.tile(np.eye(4), (len(rows), 1, 1))}
         self._of_bodies[OBJECT][:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
         self._of_bodies[OBJECT][:, :3, 3] = trajectory.object_position[rows]
@@ -44,15 +54,40 @@ class BodyPoses:
     def _placed(self, body: BodyName) -> np.ndarray:
         if not body.is_link:
             return np.tile(np.eye(4), (len(self.rows), 1, 1))
-        arm = self._system.arms[body.robot]
-        return np.array([arm.tip_pose(row, body.tip) for row in self.angles[body.robot]])
+        arm, states = self._system.arms[body.robot], self._states_of(body.robot)
+        return np.array([arm.tip_pose(angles, body.tip, base) for angles, base in states])
+
+    def _states_of(self, robot: str) -> Iterator[tuple[np.ndarray, BaseMotion | None]]:
+        """Joint positions, and the motion of the base where it floats, sample by sample."""
+        return zip(self._angles[robot], self._bases[robot], strict=True)
+
+
+def _base_motions(base: BaseChannels, rows: np.ndarray) -> list[BaseMotion | None]:
+    poses = np.hstack([base.position[rows], base.quaternion_xyzw[rows]])
+    return [BaseMotion(pose, twist) for pose, twist in zip(poses, base.twist[rows], strict=True)]
+
+
+def positions_at(trajectory: Trajectory, row: int) -> dict[str, Any]:
+    """Arguments of :meth:`multiarm.System.state` for the positions of a sample."""
+    return {
+        "object_position": trajectory.object_position[row],
+        "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[row],
+        "joint_positions": {name: q[row] for name, q in trajectory.joint_positions.items()},
+        "bases": {
+            name: {
+                "position": base.position[row],
+                "quaternion_xyzw": base.quaternion_xyzw[row],
+            }
+            for name, base in trajectory.bases.items()
+        },
+    }
 
 
 def pose_at(system: System, state: State, body: BodyName) -> np.ndarray:
     """World pose of a body at a state, of a link that of its tip, shape (4, 4)."""
     if body.is_link:
-        positions = state.joint_positions[body.robot]
-        return system.arms[body.robot].tip_pose(positions, body.tip)
+        positions, base = state.joint_positions[body.robot], state.bases.get(body.robot)
+        return system.arms[body.robot].tip_pose(positions, body.tip, base)
     pose = np.eye(4)
     if body == OBJECT:
         pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)

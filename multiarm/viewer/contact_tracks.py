@@ -34,7 +34,7 @@ from multiarm.results.event_kinds import family_of
 from multiarm.results.event_log import Event, timed
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
-from multiarm.viewer.body_poses import BodyPoses, pose_at
+from multiarm.viewer.body_poses import BodyPoses, pose_at, positions_at
 from multiarm.viewer.solids import revolve
 
 if TYPE_CHECKING:
@@ -143,11 +143,7 @@ def _labels(trajectory: Trajectory, owner: str) -> tuple[str, ...]:
 
 
 def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarray, np.ndarray]:
-    state = system.state(
-        object_position=trajectory.object_position[row],
-        object_quaternion_xyzw=trajectory.object_quaternion_xyzw[row],
-        joint_positions={name: trajectory.joint_positions[name][row] for name in system.arm_names},
-    )
+    state = system.state(**positions_at(trajectory, row))
     with system.borrow() as data:
         return contact_places(data, state)
 

@@ -26,7 +26,7 @@ WHITE = np.ones(3)  # a tint that leaves colours as they are
 
 def bodies_of_arms(
     arms: list[Arm],
-    angles: Mapping[str, np.ndarray],
+    configurations: Mapping[str, np.ndarray],
     colors: Mapping[str, np.ndarray],
     shapes: Shapes,
 ) -> tuple[list[Body], list[Body]]:
@@ -37,7 +37,8 @@ def bodies_of_arms(
     first = arms[0]
     if len(arms) == 1:
         parts = shapes.parts(first, shapes.visuals(first))
-        return _bodies(first, parts, angles[first.name], [colors[first.name]] * len(parts)), []
+        tints = [colors[first.name]] * len(parts)
+        return _bodies(first, parts, configurations[first.name], tints), []
     bodies, visuals = [], {arm.name: shapes.visuals(arm) for arm in arms}
     carried = {item.name for arm in arms for item in visuals[arm.name] if item.parentJoint > 0}
     trunk = [item for item in visuals[first.name] if item.name not in carried]
@@ -45,50 +46,53 @@ def bodies_of_arms(
         parts = shapes.parts(arm, [item for item in visuals[arm.name] if item.parentJoint > 0])
         if trunk:  # else the bars from the base to the arms stand for it
             parts = [part for part in parts if part.joint > 0]
-        bodies += _bodies(arm, parts, angles[arm.name], [colors[arm.name]] * len(parts))
+        tints = [colors[arm.name]] * len(parts)
+        bodies += _bodies(arm, parts, configurations[arm.name], tints)
     fixed = shapes.seen(first, trunk, subdued=False)
     robot = "+".join(arm.name for arm in arms)
-    return bodies, _bodies(first, fixed, angles[first.name], [WHITE] * len(fixed), robot)
+    tints = [WHITE] * len(fixed)
+    return bodies, _bodies(first, fixed, configurations[first.name], tints, robot)
 
 
 def bodies_of_robot(
-    robot: Arm, angles: np.ndarray, tip_colors: Mapping[str, np.ndarray], shapes: Shapes
+    robot: Arm, configurations: np.ndarray, tip_colors: Mapping[str, np.ndarray], shapes: Shapes
 ) -> tuple[list[Body], list[Body]]:
     """Return the links of a robot with tips, and among them those of its base.
 
     Parameters
     ----------
-    angles : ndarray, shape (K, n)
+    configurations : ndarray, shape (K, nq)
     tip_colors : mapping of str to ndarray
         By the names of tips.
     """
     tips = {name: set(robot.tips[name].chain.tolist()) for name in tip_colors}
     alone = {}  # joint, by Pinocchio's number -> the only tip that it moves
-    for joint in range(robot.dof + 1):
-        moved = [name for name, chain in tips.items() if joint == 0 or joint - 1 in chain]
+    for joint in range(robot.model.njoints):
+        first = robot.model.joints[joint].idx_v
+        moved = [name for name, chain in tips.items() if joint == 0 or first in chain]
         if len(moved) == 1:
             alone[joint] = moved[0]
     visuals = shapes.visuals(robot)
     shared = [item for item in visuals if item.parentJoint not in alone]
     parts = shapes.parts(robot, [item for item in visuals if item.parentJoint in alone], shared)
     tints = [tip_colors[alone[part.joint]] if part.joint in alone else WHITE for part in parts]
-    bodies = _bodies(robot, parts, angles, tints)
-    root = len(robot.files.base_joints)
+    bodies = _bodies(robot, parts, configurations, tints)
+    root = 2 if robot.floats else len(robot.files.base_joints)  # a base slides, then turns
     return bodies, [b for b, part in zip(bodies, parts, strict=True) if part.joint <= root]
 
 
 def _bodies(
     arm: Arm,
     parts: list[_Part],
-    angles: np.ndarray,
+    configurations: np.ndarray,
     tints: list[np.ndarray],
     name: str = "",
 ) -> list[Body]:
     """Return parts as bodies that move with a robot's joints, below ``arms/name``."""
-    poses = np.empty((len(parts), len(angles), 7))
+    poses = np.empty((len(parts), len(configurations), 7))
     data = arm.model.createData()
-    for k, row in enumerate(angles):
-        pin.forwardKinematics(arm.model, data, arm.configuration(row))
+    for k, q in enumerate(configurations):
+        pin.forwardKinematics(arm.model, data, q)
         placed = [pin.SE3ToXYZQUAT(data.oMi[p.joint] * p.placement) for p in parts]
         poses[:, k] = np.reshape(placed, (-1, 7))
     names = _distinct([part.name.replace("/", "_") for part in parts])

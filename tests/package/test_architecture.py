@@ -55,6 +55,7 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "pinocchio": (
         "arms.arm",
         "arms.backends",
+        "arms.compiled.reference",
         "assembly.collisions",
         "scene.mjcf",
         "viewer",

@@ -7,7 +7,6 @@ import pinocchio as pin
 import pytest
 from refusals import refused
 
-import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.scene import (
     OBJECT,
@@ -486,9 +485,3 @@ def test_relative_files_of_robots_start_at_the_folder_of_the_scene(hand):
     path = hand.with_name("scene.yaml")
     path.write_text(text)
     assert load_scene(path).robots["hand"].urdf == hand
-
-
-def test_what_is_not_simulated_yet_is_refused_when_it_is_compiled():
-    scene = scene_with({"tiago": tiago()}, weld("tiago/left", "world"))
-    with refused(SceneError, "$.robots.tiago: is not simulated yet", "$.joints[0]"):
-        ma.compile_system(scene)
