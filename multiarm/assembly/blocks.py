@@ -11,11 +11,11 @@ joints.  So are the fingers of a hand, each as cheap as an arm of its own.  Join
 
 - that are on one branch, such as everything that a torso carries,
 - that move one connection: two links that meet each other,
-- of which one copies the other,
+- of which one copies the other, or that move a base on wheels,
 
 with the joints between them in Pinocchio's order.
 
-The rows of a block's joints (stops, dry friction, couplings) follow the contacts of its only
+The rows of a block's joints (stops, dry friction, couplings, wheels) follow the contacts of its only
 connection where a robot has several blocks, as those of an arm do; else their owner is the robot.
 Since the rows of an owner stand together, blocks with such rows but without a connection of their
 own, or with several, are one.
@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.arms.arm import Arm
-from multiarm.contacts.table import JointRow
+from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.dynamics.connections import Connection
 
 
@@ -46,7 +46,7 @@ class Block(NamedTuple):
 def robot_blocks(
     arm: Arm,
     connections: Sequence[Connection],
-    couplings: Iterable[JointRow],
+    of_joints: Iterable[JointRow | WheelRow],
     with_rows: Collection[int],
 ) -> list[Block]:
     """The blocks of a robot in the order of its joints.
@@ -56,12 +56,12 @@ def robot_blocks(
     arm : Arm
     connections : sequence of Connection
         Those in which the robot takes part, in any order.
-    couplings : iterable of JointRow
-        Of joints that copy others.
+    of_joints : iterable of JointRow or WheelRow
+        Of joints that copy others, and of wheels.
     with_rows : collection of int
         Joints that have rows of their own, counted from 0.
     """
-    bounds = branch_bounds(arm, connections, couplings)
+    bounds = branch_bounds(arm, connections, of_joints)
     while True:
         blocks = [
             _block(arm, range(*ends), connections, whole=len(bounds) == 2)
@@ -78,13 +78,13 @@ def robot_blocks(
 
 
 def branch_bounds(
-    arm: Arm, connections: Iterable[Connection], couplings: Iterable[JointRow]
+    arm: Arm, connections: Iterable[Connection], of_joints: Iterable[JointRow | WheelRow]
 ) -> list[int]:
     """First joint of every part that shares no inertia and no row with others, and last n."""
     if arm.floats:  # its inertia joins everything
         return [0, arm.dof]
     groups = [joints_of_connection(arm, connection) for connection in connections]
-    groups += [[coupling.joint, coupling.leader] for coupling in couplings]
+    groups += [row.joints for row in of_joints]
     groups += [[joint, parent] for joint, parent in enumerate(arm.parents) if parent >= 0]
     divides = np.ones(arm.dof + 1, dtype=bool)
     for joints in groups:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multiarm.assembly.blocks import Block
-from multiarm.contacts.table import JointRow
+from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
 from multiarm.errors import SceneError
 from multiarm.geometry.records import Contact, Patch, plane, sphere, tangent_rows
@@ -27,8 +27,8 @@ class JointLaws:
     ----------
     limits : mapping robot -> joint -> (lower, upper)
         In the order of its joints [rad, m].
-    couplings : mapping robot -> list of JointRow
-        Of joints that copy others.
+    bilateral : mapping robot -> list of JointRow or WheelRow
+        Of joints that copy others, and of wheels.
     dry : mapping robot -> (n,), optional
         Dry friction of the joints [N m, N].
     of_bases : mapping robot -> int
@@ -36,7 +36,7 @@ class JointLaws:
     """
 
     limits: Mapping[str, Mapping[str, tuple[float, float]]]
-    couplings: Mapping[str, list[JointRow]]
+    bilateral: Mapping[str, list[JointRow | WheelRow]]
     dry: Mapping[str, np.ndarray] | None
     of_bases: Mapping[str, int]
 
@@ -100,7 +100,7 @@ def joints_with_rows(scene: Scene, laws: JointLaws) -> dict[str, set[int]]:
         before = laws.of_bases[robot]
         ranged = before + np.flatnonzero(np.isfinite(ends).any(axis=1))
         joints[robot] = set(ranged.tolist())
-        joints[robot] |= {coupling.joint for coupling in laws.couplings[robot]}
+        joints[robot] |= {row.joint for row in laws.bilateral[robot]}
         if laws.dry is not None:
             joints[robot] |= set((before + np.flatnonzero(laws.dry[robot] > 0.0)).tolist())
     return joints
@@ -134,9 +134,9 @@ def _add_joint_rows(
         rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
         if dry is not None and dry[robot][number - before] > 0.0:
             rows.add_dry_friction(record, joint, float(dry[robot][number - before]))
-    for coupling in laws.couplings[robot]:
-        if coupling.joint in block.joints:
-            rows.add_coupling(coupling)
+    for row in laws.bilateral[robot]:
+        if row.joint in block.joints:
+            rows.add_bilateral(row)
 
 
 def floor_contacts(spec: FloorSpec, shape: Shape) -> list[Contact]:

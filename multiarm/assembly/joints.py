@@ -21,7 +21,7 @@ from multiarm.assembly.contact_effects import (
 )
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
-from multiarm.contacts.table import JointRow, PackedContacts, pack
+from multiarm.contacts.table import JointRow, PackedContacts, WheelRow, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
@@ -34,6 +34,9 @@ from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
 from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
+
+# Name of the row of a robot on wheels.
+NO_SIDE_SLIP = "no slip sideways"
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,14 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     """All rows that can be active, and which of them are unilateral."""
     connections = scene_connections(scene, robots)
     contacts = {name: joint.contacts for name, joint in joints.items()}
-    couplings = {name: _coupling_rows(resolved) for name, resolved in robots.resolved.items()}
-    laws = _joint_laws(scene, robots, contacts, couplings)
-    blocks = scene_blocks(scene, robots, connections, laws, couplings)
+    of_joints = {name: _rows_of_joints(resolved) for name, resolved in robots.resolved.items()}
+    laws = _joint_laws(scene, robots, contacts, of_joints)
+    blocks = scene_blocks(scene, robots, connections, laws, of_joints)
     around = [name for name, connection in connections.items() if not connection.robot]
     unilateral = None
     if laws is not None:
         unilateral = unilateral_constraints(scene, contacts, blocks, around, laws)
-    records = _bilateral(blocks, around, contacts, couplings)
+    records = _bilateral(blocks, around, contacts, of_joints)
     if unilateral is not None:
         records = unilateral.records
     layout = _layout(robots, blocks, connections, records)
@@ -120,11 +123,12 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
     return Rows(layout, blocks, connections, records, on_links, packed, unilateral)
 
 
-def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
-    """The rows of a robot's joints that copy others."""
+def _rows_of_joints(robot: ResolvedRobot) -> list[JointRow | WheelRow]:
+    """The rows of a robot's joints that copy others, and of its wheels."""
     names = list(robot.joint_names)
+    wheels = [WheelRow(NO_SIDE_SLIP, names.index("base_x"))] if robot.on_wheels else []
     first = TWIST if robot.base_floats else 0
-    return [
+    couplings = [
         JointRow(
             f"{coupling.joint} copies {coupling.leader}",
             first + names.index(coupling.joint),
@@ -134,10 +138,13 @@ def _coupling_rows(robot: ResolvedRobot) -> list[JointRow]:
         )
         for coupling in robot.mimic
     ]
+    return [*couplings, *wheels]
 
 
 def _in_block(record: Any, start: int) -> Any:
     """A record with joints counted from the first one of its block, ``start`` of the robot."""
+    if isinstance(record, WheelRow):
+        return replace(record, joint=record.joint - start)
     if not isinstance(record, JointRow):
         return record
     leader = record.leader - start if record.leader >= 0 else -1
@@ -149,16 +156,16 @@ def scene_blocks(
     robots: Robots,
     connections: Mapping[str, Connection],
     laws: JointLaws | None,
-    couplings: Mapping[str, list[JointRow]],
+    of_joints: Mapping[str, list[JointRow | WheelRow]],
 ) -> list[Block]:
     """The blocks of all robots, in the order of the equations."""
     blocks = []
-    with_rows = {name: {row.joint for row in rows} for name, rows in couplings.items()}
+    with_rows = {name: {row.joint for row in rows} for name, rows in of_joints.items()}
     if laws is not None:
         with_rows = joints_with_rows(scene, laws)
     for name, arm in robots.arms.items():
         of_robot = [pair for pair in connections.values() if pair.robot == name]
-        blocks += robot_blocks(arm, of_robot, couplings[name], with_rows[name])
+        blocks += robot_blocks(arm, of_robot, of_joints[name], with_rows[name])
     return blocks
 
 
@@ -175,7 +182,7 @@ def _layout(
         block.owner: k
         for k, block in enumerate(blocks)
         if any(
-            isinstance(record, JointRow) and record.joint in block.joints
+            isinstance(record, JointRow | WheelRow) and record.joint in block.joints
             for record in records.get(block.owner, ())
         )
     }
@@ -196,15 +203,15 @@ def _bilateral(
     blocks: Sequence[Block],
     around: Sequence[str],
     contacts: Mapping[str, list],
-    couplings: Mapping[str, list[JointRow]],
+    of_joints: Mapping[str, list[JointRow | WheelRow]],
 ) -> dict[str, list]:
     """All rows by owner, where none is unilateral; those of a block together."""
     records: dict[str, list] = {}
     for block in blocks:
         records |= {name: list(contacts[name]) for name in block.connections}
-        of_joints = [row for row in couplings[block.robot] if row.joint in block.joints]
-        if of_joints:
-            records.setdefault(block.owner, []).extend(of_joints)
+        of_block = [row for row in of_joints[block.robot] if row.joint in block.joints]
+        if of_block:
+            records.setdefault(block.owner, []).extend(of_block)
     return records | {name: list(contacts[name]) for name in around}
 
 
@@ -218,7 +225,7 @@ def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
     ordered: dict[str, Connection] = {}
     for name, arm in robots.arms.items():
         of_robot = [connection for connection in of_joints if connection.robot == name]
-        bounds = branch_bounds(arm, of_robot, _coupling_rows(robots.resolved[name]))
+        bounds = branch_bounds(arm, of_robot, _rows_of_joints(robots.resolved[name]))
         parts = [
             [pair for pair in of_robot if _first_joint(arm, pair) in range(*ends)]
             for ends in pairwise(bounds)
@@ -266,9 +273,9 @@ def _joint_laws(
     scene: Scene,
     robots: Robots,
     contacts: Mapping[str, list],
-    couplings: Mapping[str, list[JointRow]],
+    of_joints: Mapping[str, list[JointRow | WheelRow]],
 ) -> JointLaws | None:
-    """Stops, dry friction and couplings of all joints; None where no row can be unilateral."""
+    """Stops, dry friction, couplings and wheels; None where no row can be unilateral."""
     effects = scene.effects
     has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
     if not (effects.with_events or has_friction):
@@ -282,7 +289,7 @@ def _joint_laws(
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
     of_bases = {name: arm.dof - len(arm.joint_names) for name, arm in robots.arms.items()}
-    return JointLaws(limits, couplings, dry, of_bases)
+    return JointLaws(limits, of_joints, dry, of_bases)
 
 
 def _bounds(sizes: list[int]) -> tuple[int, ...]:

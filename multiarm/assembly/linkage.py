@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import TANGENT, Code
+from multiarm.contacts.table import Code, rolls
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
@@ -112,7 +112,7 @@ class Linkage:
             self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
         table = data.model.constants.contacts
         codes = fields_of(Code, table.codes[: work.first_contact[-1]])
-        holds = every_row | (codes.kind != TANGENT)
+        holds = every_row | ~rolls(codes.kind)
         self._held_rows = [
             np.flatnonzero(holds[slice(*work.first_contact[i : i + 2])]) for i in arms
         ]

@@ -70,13 +70,13 @@ from multiarm.contacts.motion import (
 from multiarm.contacts.surfaces import QUERY_WIDTH, open_query, world_distance
 from multiarm.contacts.table import (
     COMBINED,
-    JOINT,
     ON_CYLINDER,
     ON_PLANE,
     ON_SURFACE,
     PAIR,
     TANGENT,
     is_in_closed_form,
+    is_of_joints,
     open_code,
     open_geometry,
     open_tangent,
@@ -263,7 +263,7 @@ def write_row(k, link, body, table, rows, parts, search):
     code = open_code(table.codes[k])
     if code.kind == TANGENT:
         _write_tangent(k, link, body, table, rows, parts, search)
-    elif code.kind == JOINT:  # it belongs to a joint of the arm and has no contact
+    elif is_of_joints(code.kind):  # it belongs to joints of the arm and has no contact
         for i in range(CONTACT_WIDTH):
             rows[k, i] = 0.0
     elif code.kind == COMBINED:

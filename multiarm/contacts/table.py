@@ -1,8 +1,16 @@
-"""The tables that the kernel reads: contact records, and rows of joints, packed as arrays.
+r"""The tables that the kernel reads: contact records, and rows of joints, packed as arrays.
 
-Besides the rows of contact records (:mod:`multiarm.geometry.records`) W has *joint rows*: one joint
-of an arm, at a limit of its range or held by its friction; the object takes no part in them.  The
-kernel is :mod:`multiarm.contacts.kernel`.
+Besides the rows of contact records (:mod:`multiarm.geometry.records`) W has rows of joints, in which
+the object takes no part.  *Joint rows*: one joint of an arm, at a limit of its range or held by its
+friction.  *Wheels*: a base on joints x, y and yaw does not slip sideways.  Its lateral velocity is
+
+.. math::
+    \dot\psi = -\sin\theta\,\dot x + \cos\theta\,\dot y = 0, \qquad
+    W = (-\sin\theta, \cos\theta, 0)^T, \qquad
+    \ddot\psi\,|_0 = -(\cos\theta\,\dot x + \sin\theta\,\dot y)\,\dot\theta
+
+with the yaw :math:`\theta`; it constrains velocities only.  The kernels are
+:mod:`multiarm.contacts.kernel` and :func:`multiarm.dynamics.kinematics.write_joint_rows`.
 """
 
 from __future__ import annotations
@@ -40,6 +48,7 @@ class RowKind(IntEnum):
     TANGENT = 5  # no slip
     COMBINED = 6
     JOINT = 7
+    WHEELS = 8  # a base does not slip sideways
 
 
 # Numba reads them as constants.
@@ -51,6 +60,7 @@ PAIR = int(RowKind.PAIR)
 TANGENT = int(RowKind.TANGENT)
 COMBINED = int(RowKind.COMBINED)
 JOINT = int(RowKind.JOINT)
+WHEELS = int(RowKind.WHEELS)
 
 _CLOSED_FORMS = {PLANE: ON_PLANE, SPHERE: ON_SPHERE, CYLINDER: ON_CYLINDER}
 
@@ -67,7 +77,7 @@ class Code(NamedTuple):
     normal_part: Number = 0
     first_part: Number = 0  # of combined rows, and how many there are
     parts: Number = 0
-    joint: Number = -1  # its number in the block of the equations, of joints
+    joint: Number = -1  # its number in the block, of joints; of wheels that of x
     leader: Number = -1  # the joint that it copies; -1: none
 
 
@@ -148,9 +158,46 @@ class JointRow:
     tangent: int = 0
     pushes_only: bool = False
 
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Numbers in its robot of all joints that take part."""
+        return (self.joint,) if self.leader < 0 else (self.joint, self.leader)
+
     def moved_on_bodies(self, _first: Placement | None, _second: Placement | None) -> JointRow:
         """The same row, which has no geometry."""
         return self
+
+
+@dataclass(frozen=True)
+class WheelRow:
+    """One row of W: a robot on wheels does not slip sideways.
+
+    Attributes
+    ----------
+    name : str
+        Shown in messages and results.
+    joint : int
+        Number in its robot of the joint that moves the base along x; those along y and about z
+        follow.
+    """
+
+    name: str
+    joint: int
+    tangent: int = 0
+    pushes_only: bool = False
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Numbers in its robot of all joints that take part."""
+        return self.joint, self.joint + 1, self.joint + 2
+
+    def moved_on_bodies(self, _first: Placement | None, _second: Placement | None) -> WheelRow:
+        """The same row, which has no geometry."""
+        return self
+
+
+Record = Contact | JointRow | WheelRow
+"""One row of W."""
 
 
 class ContactTable(NamedTuple):
@@ -185,7 +232,19 @@ def is_in_closed_form(kind):
     return kind in (ON_PLANE, ON_SPHERE, ON_CYLINDER)
 
 
-def pack(contacts: Sequence[Contact | JointRow]) -> PackedContacts:
+@plain
+def is_of_joints(kind):
+    """Whether a row belongs to joints of a robot; of arrays, entry by entry."""
+    return (kind == JOINT) | (kind == WHEELS)
+
+
+@plain
+def rolls(kind):
+    """Whether a row constrains velocities only, not positions; of arrays, entry by entry."""
+    return (kind == TANGENT) | (kind == WHEELS)
+
+
+def pack(contacts: Sequence[Record]) -> PackedContacts:
     """Pack records for the kernel."""
     codes: list[Code] = []
     geometry: list[np.ndarray] = []
@@ -195,6 +254,8 @@ def pack(contacts: Sequence[Contact | JointRow]) -> PackedContacts:
     for k, contact in enumerate(contacts):
         if isinstance(contact, JointRow):
             codes.append(Code(JOINT, 0, joint=contact.joint, leader=contact.leader))
+        elif isinstance(contact, WheelRow):
+            codes.append(Code(WHEELS, 0, joint=contact.joint))
         elif contact.is_combined:
             pieces = [replace(contact, minus=None, weight=1.0)]
             pieces += [] if contact.minus is None else [contact.minus]
@@ -269,11 +330,12 @@ def copy_record(table, record, selected, k):
 
 
 class JointRows(NamedTuple):
-    """The rows of W that belong to a joint of a robot, (r,) numbers each."""
+    """The rows of W that belong to joints of a robot, (r,) numbers each."""
 
+    kind: Ints1  # ``JOINT`` or ``WHEELS``
     block: Ints1
     row: Ints1
-    joint: Ints1  # among all joints
+    joint: Ints1  # among all joints; of wheels that along x, which y and yaw follow
     leader: Ints1  # the joint that it copies; -1: none
 
 
@@ -292,14 +354,15 @@ def select_joint_rows(codes, rows, dofs, joint_rows):
     for i in range(rows.size - 1):
         for row in range(rows[i], rows[i + 1]):
             code = open_code(codes[row])
-            if code.kind == JOINT:
+            if is_of_joints(code.kind):
+                joint_rows.kind[count] = code.kind
                 joint_rows.block[count], joint_rows.row[count] = i, row
                 joint_rows.joint[count] = dofs[i] + code.joint
                 joint_rows.leader[count] = dofs[i] + code.leader if code.leader >= 0 else -1
                 count += 1
 
 
-def _follows_its_normal(tangent: Contact, contacts: Sequence[Contact | JointRow], k: int) -> bool:
+def _follows_its_normal(tangent: Contact, contacts: Sequence[Record], k: int) -> bool:
     normal = contacts[k - tangent.tangent] if k >= tangent.tangent else None
     return (
         isinstance(normal, Contact)
@@ -329,8 +392,10 @@ def _code(contact: Contact, shapes: list, functions: list) -> Code:
     return Code(PAIR, contact.surface_body, shape=first)
 
 
-def _geometry_row(contact: Contact | JointRow) -> np.ndarray:
+def _geometry_row(contact: Record) -> np.ndarray:
     row = np.zeros(GEOMETRY_WIDTH)
+    if isinstance(contact, WheelRow):
+        return row
     fields = as_row(_geometry(contact))
     row[: fields.size] = fields
     return row

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import JointRow
+from multiarm.contacts.table import JointRow, Record, WheelRow
 from multiarm.geometry.records import Contact
 from multiarm.scene.values import SURROUNDINGS
 
@@ -111,7 +111,7 @@ class UnilateralConstraints:
     compliant : CompliantContacts or None
     """
 
-    records: dict[str, list[Contact | JointRow]]
+    records: dict[str, list[Record]]
     constraints: tuple[Constraint, ...]
     model: tuple[int, ...]
     assembled: tuple[int, ...]
@@ -149,7 +149,7 @@ class RowBuilder:
 
     def __init__(self) -> None:
         self.owner = self.robot = ""
-        self.records: dict[str, list[Contact | JointRow]] = {}
+        self.records: dict[str, list[Record]] = {}
         self.constraints: list[Constraint] = []
         self.model: list[int] = []
         self.bilateral: list[int] = []
@@ -162,12 +162,12 @@ class RowBuilder:
         if not robot:
             self.records.setdefault(owner, [])
 
-    def _add(self, record: Contact | JointRow) -> int:
+    def _add(self, record: Record) -> int:
         self.records.setdefault(self.owner, []).append(record)
         self.count += 1
         return self.count - 1
 
-    def _constrain(self, kind: str, record: Contact | JointRow, row: int, **more: Any) -> None:
+    def _constrain(self, kind: str, record: Record, row: int, **more: Any) -> None:
         arm = self.owner if kind == CONTACT else self.robot
         self.constraints.append(Constraint(kind, arm, record.name, row, **more))
 
@@ -219,8 +219,8 @@ class RowBuilder:
         held = replace(record, name=f"{record.name}, dry friction")
         self._constrain(DRY_JOINT, held, self._add(held), joint=joint, bound=bound)
 
-    def add_coupling(self, record: JointRow) -> None:
-        """A joint that copies another one, at all times."""
+    def add_bilateral(self, record: JointRow | WheelRow) -> None:
+        """A joint that copies another one, or wheels: at all times."""
         row = self._add(record)
         self.model.append(row)
         self.bilateral.append(row)

@@ -37,7 +37,7 @@ import math
 from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
-from multiarm.contacts.table import JOINT, ON_PLANE, open_code, open_geometry
+from multiarm.contacts.table import ON_PLANE, is_of_joints, open_code, open_geometry
 from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.geometry.stencils import CENTRAL_4
@@ -157,7 +157,7 @@ def are_flat(model, first, last):
     for k in range(first, last):
         code = open_code(model.contacts.codes[k])
         on_object = code.kind == ON_PLANE and code.surface_body == SURFACE_ON_OBJECT
-        if not (on_object or code.kind == JOINT):
+        if not (on_object or is_of_joints(code.kind)):
             return False
     return True
 
@@ -172,7 +172,7 @@ def differentiate_flat_rows(model, first, last, work):
         clear(wrench[i])
     for k in range(first, last):
         clear(slopes[k])
-        if open_code(model.contacts.codes[k]).kind == JOINT:
+        if is_of_joints(open_code(model.contacts.codes[k]).kind):
             continue
         contact = open_geometry(model.contacts.geometry[k])
         d, n = rotate(R, contact.tip), contact.axis

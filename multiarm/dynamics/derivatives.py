@@ -42,7 +42,7 @@ from functools import partial
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import TANGENT, Code
+from multiarm.contacts.table import Code, rolls
 from multiarm.dynamics.coordinates import arm_columns, column_of_state, equation_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
@@ -232,7 +232,7 @@ class _Equations:
         )
         table = self._data.model.constants.contacts
         codes = fields_of(Code, table.codes[: len(b.rows.W_o)])
-        closed, layout = codes.kind != TANGENT, self._data.model.layout
+        closed, layout = ~rolls(codes.kind), self._data.model.layout
         return partial(_motions, layout, closed, independent, *arrays)
 
     def _update(self) -> None:

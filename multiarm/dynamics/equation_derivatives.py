@@ -40,7 +40,7 @@ from multiarm.arms.derivatives import (
 from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
-from multiarm.contacts.table import JOINT, TANGENT, open_code, open_joint
+from multiarm.contacts.table import JOINT, WHEELS, open_code, open_joint, rolls
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
     BASE,
@@ -313,6 +313,9 @@ def differentiate_arm(i, model, data, system, links, work):
         write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
     for c in range(work.first_owner[i], work.first_owner[i + 1]):
         add_connection(i, c, columns, model, data, system, links, work)
+    for k in range(model.joint_rows.row.size):
+        if model.joint_rows.block[k] == i and model.joint_rows.kind[k] == WHEELS:
+            add_wheels(k, n, columns, model, data, system, work)
     if is_arm:
         write_inverse_dynamics(links, i, work.links, work.by_q, work.by_v)
     for j in range(n):
@@ -348,6 +351,33 @@ def add_connection(i, owner, columns, model, data, system, links, work):
     differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work)
     add_wrench(i, bodies[0], columns, work.on_first, data, system, links, work)
     add_wrench(i, bodies[1], columns, work.on_second, data, system, links, work)
+
+
+@inlined
+def add_wheels(k, n, columns, model, data, system, work):
+    r"""Add the derivatives of the wheels in row ``k`` of ``model.joint_rows``, by yaw and rates.
+
+    With :math:`\partial_\theta W = (-\cos\theta, -\sin\theta, 0)^T`; see
+    :mod:`multiarm.contacts.table`.
+    """
+    joint_rows = model.joint_rows
+    i, row, x = joint_rows.block[k], joint_rows.row[k], joint_rows.joint[k]
+    y, turn = x + 1, x + 2
+    yaw, spin, force = data.state.joint_positions[turn], work.v[turn], work.force[row]
+    sine, cosine = math.sin(yaw), math.cos(yaw)
+    forward, sideways = (
+        cosine * work.v[x] + sine * work.v[y], cosine * work.v[y] - sine * work.v[x]
+    )  # fmt: skip
+    first = x - system.first_joint[i]
+    rate, position = columns.rates + first, columns.positions + first + 2
+    dF, of_row = work.dF[i], work.dF[i, n + row - system.first_contact[i]]
+    dF[first, position] += cosine * force
+    dF[first + 1, position] += sine * force
+    of_row[position] += -cosine * work.a_j[x] - sine * work.a_j[y] - sideways * spin
+    of_row[rate] -= cosine * spin
+    of_row[rate + 1] -= sine * spin
+    of_row[rate + 2] -= forward
+    work.rates[row, position] = -forward
 
 
 @inlined
@@ -467,7 +497,7 @@ def gap_weight(model, row):
     kind = open_code(model.contacts.codes[row]).kind
     if kind == JOINT:
         return open_joint(model.contacts.geometry[row]).has_bound
-    return 0.0 if kind == TANGENT else 1.0
+    return 0.0 if rolls(kind) else 1.0
 
 
 # --- solution -------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ its kinetic energy.
 
 The accelerations of a robot with several tips satisfy these equations for all its connections at
 once: with the object, with the world, where :math:`\dot v_o` is zero, and of its links with each
-other, where it is that of the second link.  They keep its couplings too.  Contacts that do not act
+other, where it is that of the second link.  They keep its couplings and wheels too.  Contacts that do not act
 on the object carry nothing: the drives do.
 
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
@@ -36,7 +36,7 @@ import numpy as np
 
 from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import JointRow
+from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import relative_motion, robot_inertia, robot_matrix
 from multiarm.dynamics.control_laws import NO_CONTROL
@@ -217,9 +217,9 @@ def _desired_motion(
         for name, pair in model.connections.items()
         if pair.robot == robot
     ]
-    couplings = [isinstance(record, JointRow) for record in model.records[rows]]
-    W = robot_matrix(data, i)[:, couplings]
-    equations.append((W.T, np.zeros(W.shape[1])))
+    of_joints = [isinstance(record, JointRow | WheelRow) for record in model.records[rows]]
+    bias = data.contact_rows.gap_bias[rows]
+    equations.append((robot_matrix(data, i)[:, of_joints].T, -bias[of_joints]))
     A, a = zip(*equations, strict=True)
     return np.vstack(A), np.concatenate(a)
 

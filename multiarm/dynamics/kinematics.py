@@ -8,6 +8,7 @@ object's; then the contacts of every connection.  The results are in
 from __future__ import annotations
 
 import ctypes
+import math
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from multiarm.arms.terms import (
 from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
-from multiarm.contacts.table import open_joint
+from multiarm.contacts.table import WHEELS, open_joint
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
@@ -308,6 +309,9 @@ def write_joint_rows(model, data, work):
     """Rows that belong to joints: their gaps, and their columns of ``W``."""
     joint_rows = model.joint_rows
     for k in range(joint_rows.row.size):
+        if joint_rows.kind[k] == WHEELS:
+            write_wheels(k, model, data, work)
+            continue
         i, row, joint = joint_rows.block[k], joint_rows.row[k], joint_rows.joint[k]
         geometry = open_joint(model.contacts.geometry[row])
         contact = open_contact(data.rows.kinematics[row])
@@ -321,6 +325,35 @@ def write_joint_rows(model, data, work):
         contact.gap = geometry.has_bound * side * (position - geometry.bound)
         contact.gap_rate = side * rate
         work.W[i, joint - work.first_joint[i], column] = side
+
+
+@inlined
+def write_wheels(k, model, data, work):
+    """Rate, bias and column of ``W`` of the wheels in row ``k`` of ``model.joint_rows``."""
+    joint_rows, state = model.joint_rows, data.state
+    i, row, x = joint_rows.block[k], joint_rows.row[k], joint_rows.joint[k]
+    yaw, v_x, v_y = state.joint_positions[x + 2], state.joint_rates[x], state.joint_rates[x + 1]
+    sine, cosine = math.sin(yaw), math.cos(yaw)
+    contact = open_contact(data.rows.kinematics[row])
+    contact.gap_rate = cosine * v_y - sine * v_x
+    contact.gap_bias = -(cosine * v_x + sine * v_y) * state.joint_rates[x + 2]
+    first, column = x - work.first_joint[i], row - work.first_contact[i]
+    work.W[i, first, column], work.W[i, first + 1, column] = -sine, cosine
+
+
+@inlined
+def release_wheels(model, work):
+    """Set the columns of ``W`` of wheels to zero, which take no part then; returns how many.
+
+    :func:`constraint_matrices` writes them again.
+    """
+    joint_rows, count = model.joint_rows, 0
+    for k in range(joint_rows.row.size):
+        if joint_rows.kind[k] == WHEELS:
+            i = joint_rows.block[k]
+            clear_column(i, joint_rows.row[k] - work.first_contact[i], work)
+            count += 1
+    return count
 
 
 @inlined

@@ -19,12 +19,12 @@ from multiarm.arms.arm import AT_REST, Arm, ArmTip
 from multiarm.arms.backends import ArmBackends
 from multiarm.contacts.joint import Joint, JointFrame
 from multiarm.contacts.table import (
-    JOINT,
     Code,
     ContactTable,
-    JointRow,
+    Record,
     count_parts,
     empty_table,
+    is_of_joints,
     make_joint_rows,
     select_joint_rows,
     select_rows,
@@ -70,7 +70,7 @@ class Model:
     # of each owner of rows but the surroundings; the first body's geometry in its tip frame
     contacts: dict[str, list[Contact]]
     # all rows of W, the geometry on links in the frame of the joint that moves the link
-    records: tuple[Contact | JointRow, ...]
+    records: tuple[Record, ...]
     surfaces: tuple[SmoothShape, ...]  # user-defined surfaces; every Data takes copies
     frames: dict[str, JointFrame]  # each connection's frame on both bodies, its free motions
     constants: Constants  # for kernels
@@ -138,7 +138,7 @@ class Model:
         names = [*self.arm_names, SURROUNDINGS]
         return [names[robot] for robot in self.layout.robot_of_block]
 
-    def owner(self, row: int) -> tuple[str, Contact | JointRow]:
+    def owner(self, row: int) -> tuple[str, Record]:
         """Owner and record of a row of W."""
         return self.layout.owners[self.layout.owner_of_contact(row)], self.records[row]
 
@@ -290,7 +290,7 @@ def require_no_floating_base(model: Model, why: str) -> None:
 
 def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table."""
-    of_joints = fields_of(Code, table.codes[: layout.contacts]).kind == JOINT
+    of_joints = is_of_joints(fields_of(Code, table.codes[: layout.contacts]).kind)
     joint_rows = make_joint_rows(int(np.count_nonzero(of_joints)))
     of_blocks = np.array(layout.first_of_block), np.array(layout.first_joint_of_block)
     select_joint_rows(table.codes, *of_blocks, joint_rows)

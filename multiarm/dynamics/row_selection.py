@@ -17,11 +17,11 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.table import (
-    JOINT,
     Code,
     JointRows,
     count_parts,
     empty_table,
+    is_of_joints,
     select_joint_rows,
     select_rows,
 )
@@ -78,7 +78,8 @@ class RowSelection(Data):
         self._full, self._room = full, self._make_room(variables)
         joints = layout.joint_counts
         self._places = row_places(*_shapes(joints, layout.contact_counts, 0))
-        of_joints = fields_of(Code, model.constants.contacts.codes[: layout.contacts]).kind == JOINT
+        codes = fields_of(Code, model.constants.contacts.codes[: layout.contacts])
+        of_joints = is_of_joints(codes.kind)
         tables = partial(_tables, layout, of_joints)
         self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were

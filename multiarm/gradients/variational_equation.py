@@ -35,7 +35,7 @@ import numpy as np
 from multiarm.assembly.compilation import compile_system
 from multiarm.assembly.linkage import projection_tolerance
 from multiarm.assembly.start import project_start
-from multiarm.contacts.table import TANGENT, Code
+from multiarm.contacts.table import Code, rolls
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.equations import update_kinematics
@@ -268,7 +268,7 @@ class Parameter:
                 accelerations = evaluation.evaluate(data, t, state).accelerations
                 contacts = data.contact_rows
                 codes = fields_of(Code, data.model.constants.contacts.codes)
-                gaps = contacts.gap[codes.kind[: contacts.gap.size] != TANGENT]
+                gaps = contacts.gap[~rolls(codes.kind[: contacts.gap.size])]
                 return accelerations, np.concatenate([gaps, contacts.gap_rate])
         evaluated = evaluate(system, t, state)
         if max(evaluated.position_residual, evaluated.velocity_residual) > CLOSED:

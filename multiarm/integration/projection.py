@@ -12,6 +12,7 @@ semi-implicit Euler, 2 for explicit Euler and 2.79 for RK4; ``FEEDBACK_RATIO`` i
     \qquad\text{and}\qquad
     \min_{\delta v} \tfrac12 \delta v^T M\, \delta v \ \text{ with }\ W^T (v + \delta v) = 0 .
 
+Wheels hold velocities and not positions: they take no part in the first one.
 Both are the node system with other right-hand sides (``f = 0``, ``c = -\varphi`` or
 ``-\dot\varphi``), so that each costs as much as an evaluation and stays linear in the arms.  Of
 deficient arms the factors for the velocities serve the evaluation that follows, too.
@@ -29,6 +30,7 @@ from multiarm.contacts.kernel import greatest_gaps, open_contact
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import retract_into, retract_joints
 from multiarm.dynamics.equations import keeps_factors, solve_frictionless, update_kinematics
+from multiarm.dynamics.kinematics import release_wheels
 from multiarm.dynamics.solver.bounds import NEAR_LOSS
 from multiarm.dynamics.status import OK, PROJECTION_FAILED
 from multiarm.jit.kernels import (
@@ -102,10 +104,10 @@ def project_positions(
         what :func:`multiarm.dynamics.equations.solve_frictionless` returned.  The largest change of
         a coordinate is in ``data.status.position_change``.
     """
-    _, data, _ = open_system(struct)
+    model, data, work = open_system(struct)
     data.status.position_change = 0.0
     # near a loss of rank, gaps have large effects: more iterations reduce them to roundings
-    before, further = math.inf, 3
+    before, further, released = math.inf, 3, 0
     for _ in range(iterations):
         status = update_kinematics(struct)
         if status != OK:
@@ -118,9 +120,10 @@ def project_positions(
         if not math.isfinite(worst):
             return PROJECTION_FAILED
         slow = worst > 0.5 * before and worst <= 1e4 * tolerance
-        if slow and data.solution.dependent > 0:
+        if slow and data.solution.dependent > released:
             return OK  # small gaps that no motion closes to first order
         before = worst
+        released = release_wheels(model, work)
         clear(data.forces.f)
         for k in range(data.rows.c.size):
             data.rows.c[k] = -open_contact(data.rows.kinematics[k]).gap

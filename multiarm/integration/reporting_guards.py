@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
 
-from multiarm.contacts.table import JointRow
+from multiarm.contacts.table import Record
 from multiarm.dynamics.arrays import open_reports, open_system
 from multiarm.dynamics.connections import Connections
 from multiarm.dynamics.data import Data
@@ -37,7 +37,7 @@ ROUNDED_EXCESS, SMALL_PULL = 1e-9, 1e-6
 
 
 def reporting_guards(
-    contacts: Mapping[str, list[Contact | JointRow]],
+    contacts: Mapping[str, list[Record]],
     limits: Mapping[str, Mapping[int, tuple[float, float]]],
     layout: Layout,
     connections: Connections,
@@ -68,7 +68,7 @@ def reporting_guards(
     return tuple(guards)
 
 
-def _contact_guards(row: int, bodies: tuple[int, int], contact: Contact | JointRow) -> list[Guard]:
+def _contact_guards(row: int, bodies: tuple[int, int], contact: Record) -> list[Guard]:
     if not isinstance(contact, Contact) or contact.tangent:
         return []
     guards = []

@@ -44,7 +44,7 @@ import numpy as np
 
 from multiarm.arms.terms import CoriolisCalls, open_matrix
 from multiarm.contacts.kernel import open_contact
-from multiarm.contacts.table import TANGENT, open_code
+from multiarm.contacts.table import open_code, rolls
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.coordinates import chart_places, load_chart, retract_into
@@ -183,9 +183,9 @@ def find_velocities(step, work, t, h):
             return status
         momentum_residual(step, work, h)
         for k in range(work.gap.size):
-            rolls = open_code(model.contacts.codes[k]).kind == TANGENT
+            on_rates = rolls(open_code(model.contacts.codes[k]).kind)
             rate = open_contact(data.rows.kinematics[k]).gap_rate
-            data.rows.c[k] = -rate if rolls else work.gap[k]
+            data.rows.c[k] = -rate if on_rates else work.gap[k]
         status = solve_frictionless(step.system, 0.0)
         if status != OK:  # far away: inertias were sound at the beginning
             return status if status == CALLBACK_FAILED else NOT_CONVERGED

@@ -70,6 +70,8 @@ class ResolvedRobot:
         Added to the root link: about the base's origin, base axes [kg m^2].
     mimic : tuple of MimicCoupling
         Of joints that move and copy others.
+    on_wheels : bool
+        The base has the joints ``base_x``, ``base_y``, ``base_yaw`` and does not slip sideways.
     """
 
     urdf: Path
@@ -87,6 +89,7 @@ class ResolvedRobot:
     base_mass: float = 0.0
     base_inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     mimic: tuple[MimicCoupling, ...] = ()
+    on_wheels: bool = False
 
     @property
     def joint_names(self) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 The base is fixed, floats freely, or moves in the frame in which it is written: by slides along x,
 y and z, then by a turn about z, real joints ``base_x``, ``base_y``, ``base_z``, ``base_yaw`` before
-the root link.
+the root link.  On wheels it has the joints along x, along y and about z, and does not slip
+sideways.
 Further joints move if they lie on the way from the root to a tip, or to a link that a joint of the
 scene names; the others are held fixed.  A joint on the way that copies another moves by a number of
 its own, and is coupled to its leader.
@@ -45,22 +46,21 @@ from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipNa
 Direction = Literal["x", "y", "z", "yaw"]
 _DIRECTIONS: tuple[str, ...] = get_args(Direction)
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}  # of the others: z
-_NOT_SIMULATED = {
-    "differential": "a base on wheels that cannot slide sideways is not simulated yet; write "
-    "'moves: [x, y, yaw]', which may slide",
-}
 FREE: Literal["free"] = "free"
 """How a base moves that floats."""
+DIFFERENTIAL: Literal["differential"] = "differential"
+"""How a base on wheels moves, forward and about z; :data:`ON_WHEELS` are its joints."""
+ON_WHEELS: tuple[Direction, ...] = ("x", "y", "yaw")
 
 
 def _moves(value: Any) -> Any:
-    if value == FREE:
+    if value in (DIFFERENTIAL, FREE):
         return value
     if not isinstance(value, list | tuple):
-        listing = (
-            f"must be a list of some of {', '.join(_DIRECTIONS)}, or {FREE!r}, got {shown(value)}"
+        raise invalid(
+            f"must be a list of some of {', '.join(_DIRECTIONS)}, or {DIFFERENTIAL!r}, or "
+            f"{FREE!r}, got {shown(value)}"
         )
-        raise invalid(_NOT_SIMULATED.get(str(value), listing))
     for direction in value:
         if direction not in _DIRECTIONS:
             raise invalid(unknown("direction", direction, _DIRECTIONS))
@@ -76,10 +76,14 @@ class RobotBaseSpec(Pose):
 
     rpy: BaseTurn = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw [rad], as of any pose; up to three turns."""
-    moves: Annotated[tuple[Direction, ...] | Literal["free"], BeforeValidator(_moves)] = ()
+    moves: Annotated[
+        tuple[Direction, ...] | Literal["differential", "free"], BeforeValidator(_moves)
+    ] = ()
     """The directions in which the base moves, some of x, y, z, yaw in this order: along, and in the
     end about, the axes of the pose that is written. They are joints 'base_x', 'base_y', 'base_z',
-    'base_yaw'. 'free': it floats, from the pose that is written. Absent: it is fixed."""
+    'base_yaw'. 'differential': it moves as by [x, y, yaw], on wheels below its origin that do not
+    slip sideways, so that it drives along its own x axis and turns. 'free': it floats, from the
+    pose that is written. Absent: it is fixed."""
     limits: dict[Direction, Range] = Field(default_factory=dict)
     """Ends of the range [m] or [rad], a table by direction; others have none."""
     effort: dict[Direction, Positive] = Field(default_factory=dict)
@@ -107,19 +111,20 @@ class RobotBaseSpec(Pose):
                 "'twist' is of a base that floats; write moves: free, or remove it: velocities of "
                 "other bases are those of their joints, in 'velocity'"
             )
-        if list(self.moves) != [name for name in _DIRECTIONS if name in self.moves]:
+        moves = self.directions
+        if list(moves) != [name for name in _DIRECTIONS if name in moves]:
             raise invalid(
                 f"'moves' must name each direction once, in the order {', '.join(_DIRECTIONS)}, "
-                f"got {shown(self.moves)}"
+                f"got {shown(moves)}"
             )
         for key in ("limits", "effort"):
-            idle = [name for name in getattr(self, key) if name not in self.moves]
+            idle = [name for name in getattr(self, key) if name not in moves]
             if idle:
                 raise invalid(
                     f"{key!r} names {listed(idle)}, where the base does not move; 'moves' are "
-                    f"{listed(self.moves)}"
+                    f"{listed(moves)}"
                 )
-        if not self.moves and (self.mass is not None or self.inertia is not None):
+        if not moves and (self.mass is not None or self.inertia is not None):
             raise invalid(
                 "'mass' and 'inertia' count only where the base moves; add 'moves', such as "
                 "moves: [x, y, yaw], or remove them"
@@ -131,11 +136,16 @@ class RobotBaseSpec(Pose):
         """Whether it moves freely."""
         return self.moves == FREE
 
-    def joints(self, root: str) -> tuple[JointOutline, ...]:
-        """The joints that move the root link; none of a base that floats."""
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Those of its joints; none of a base that floats."""
         if self.moves == FREE:
             return ()
-        return tuple(self._joint(direction, root) for direction in self.moves)
+        return ON_WHEELS if self.moves == DIFFERENTIAL else self.moves
+
+    def joints(self, root: str) -> tuple[JointOutline, ...]:
+        """The joints that move the root link; none of a base that floats."""
+        return tuple(self._joint(direction, root) for direction in self.directions)
 
     def _joint(self, direction: Direction, root: str) -> JointOutline:
         limits = self.limits.get(direction)
@@ -255,6 +265,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
             base_mass=spec.base.mass or 0.0,
             base_inertia=np.array(spec.base.inertia or np.zeros((3, 3))),
             mimic=couplings_of(moving),
+            on_wheels=spec.base.moves == DIFFERENTIAL,
         )
     return examination
 
