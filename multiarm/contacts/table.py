@@ -1,8 +1,9 @@
 r"""The tables that the kernel reads: contact records, and rows of joints, packed as arrays.
 
-Besides the rows of contact records (:mod:`multiarm.geometry.records`) W has rows of joints, in which
-the object takes no part.  *Joint rows*: one joint of an arm, at a limit of its range or held by its
-friction.  *Wheels*: a base on joints x, y and yaw does not slip sideways.  Its lateral velocity is
+Besides the rows of contact records (:mod:`multiarm.geometry.records`) W has rows of joints, in
+which the object takes no part.  *Joint rows*: one joint of an arm, at a limit of its range or held
+by its friction.  *Wheels*: a base on joints x, y and yaw does not slip sideways.  Its lateral
+velocity is
 
 .. math::
     \dot\psi = -\sin\theta\,\dot x + \cos\theta\,\dot y = 0, \qquad

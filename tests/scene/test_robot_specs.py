@@ -164,6 +164,16 @@ def test_the_joints_of_the_base_come_first_in_the_order_x_y_z_yaw():
     assert resolved.base_mass == 20.0 and not resolved.base_inertia.any()
 
 
+def test_wheels_have_the_joints_of_a_base_that_slides():
+    base = {"moves": "differential", "limits": {"x": [-1, 2]}, "effort": {"yaw": 30}}
+    resolved = resolve_robot(RobotSpec(**tiago(base=base)))
+    sliding = resolve_robot(RobotSpec(**tiago(base={**base, **PLANE})))
+    assert resolved.base_joints == sliding.base_joints
+    assert resolved.on_wheels and not sliding.on_wheels
+    scene = scene_with({"tiago": tiago(base=base)}, {"arm": "tiago/left", "kind": "weld"})
+    assert parse_scene(dump_scene(scene)).robots["tiago"].base.moves == "differential"
+
+
 def test_every_link_of_a_robot_on_a_moving_base_moves():
     robots = {"cart": {"robot": "tiago_pro", "base": PLANE, "tips": {"plate": "base_link"}}}
     scene = scene_with(robots, weld("cart/plate", "object"))
@@ -179,7 +189,7 @@ def test_every_link_of_a_robot_on_a_moving_base_moves():
     ("base", "place"),
     [
         ({"moves": "free", "limits": {"x": [0, 1]}}, "$.robots.tiago.base"),
-        ({"moves": "differential"}, "$.robots.tiago.base.moves"),
+        ({"moves": "differential", "limits": {"z": [0, 1]}}, "$.robots.tiago.base"),
         ({"moves": "x"}, "$.robots.tiago.base.moves"),
         ({"moves": ["yaw", "x"]}, "$.robots.tiago.base"),
         ({"moves": ["x", "x"]}, "$.robots.tiago.base"),

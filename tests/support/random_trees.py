@@ -17,6 +17,7 @@ import pinocchio as pin
 from joint_equations import FINGERTIPS, joint_axis, reach, turned_to
 from scipy.spatial.transform import Rotation
 from tree_models import (
+    DIFFERENTIAL,
     MOVES,
     OBJECT,
     WORLD,
@@ -201,6 +202,14 @@ def _floating(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any]:
     moments = random_moments(rng, mass, 0.3)
     base = {**spec["base"], "moves": "free", "mass": mass, "inertia": moments.tolist()}
     return {**spec, "base": base}
+
+
+def _on_wheels(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any]:
+    """The robot on a base that does not slip sideways."""
+    mass = float(rng.uniform(1.0, 30.0))
+    moments = random_moments(rng, mass, 0.3)
+    base = {"moves": DIFFERENTIAL, "mass": mass, "inertia": moments.tolist()}
+    return {**spec, "base": {**spec["base"], **base}}
 
 
 def real_robot(rng: np.random.Generator, name: str, *, moves: bool = False) -> dict[str, Any]:
@@ -407,6 +416,18 @@ def floating_bases(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     return {"object": _object(rng), "robots": robots, "joints": joints}
 
 
+def wheels(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """One or two robots that do not slip sideways, and one on a fixed base."""
+    robots = {
+        name: tree_robot(rng, folder / f"{name}.urdf", int(rng.integers(1, 3)))
+        for name in ("cart", "truck")[: int(rng.integers(1, 3))]
+    }
+    robots = {name: _on_wheels(rng, robot) for name, robot in robots.items()}
+    robots["helper"] = tree_robot(rng, folder / "helper.urdf", 1)
+    joints = [{"arm": tip, **random_kind(rng)} for tip in holds(robots)]
+    return {"object": _object(rng), "robots": robots, "joints": joints}
+
+
 def surroundings(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     """Tips, and sometimes the object, that are held by the world."""
     robots = {
@@ -496,8 +517,8 @@ def real_robots(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
 FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
     family.__name__: family
     for family in (
-        arms_only, several_tips, moving_bases, surroundings, inner_loops, mimic_joints, hands,
-        real_robots,
+        arms_only, several_tips, moving_bases, wheels, surroundings, inner_loops, mimic_joints,
+        hands, real_robots,
     )
 }  # fmt: skip
 # With those of robots that float, of whose state the base's motion is a part.

@@ -25,6 +25,7 @@ OBJECT, WORLD = "object", "world"
 MOVES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ, "yaw": pin.JointModelRZ,
 }  # fmt: skip
+DIFFERENTIAL, ON_WHEELS = "differential", ("x", "y", "yaw")
 
 
 class Mimic(NamedTuple):
@@ -83,6 +84,7 @@ class RobotModel:
     tips: dict[str, str]
     mimics: tuple[Mimic, ...]
     floats: bool = False
+    wheels: BodyFrame | None = None  # a frame whose origin does not slip along its y axis
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,9 @@ def read_robot(name: str, spec: dict[str, Any], named_links: set[str]) -> RobotM
     couplings = tuple(mimics[joint] for joint in moving if joint in mimics)
     floats = floats_free(spec)
     joints = tuple(list(model.names)[2 if floats else 1 :])
-    return RobotModel(model, joints, links, tips, couplings, floats)
+    on_wheels = (spec.get("base") or {}).get("moves") == DIFFERENTIAL
+    wheels = BodyFrame(name, len(ON_WHEELS), pin.SE3.Identity()) if on_wheels else None
+    return RobotModel(model, joints, links, tips, couplings, floats, wheels)
 
 
 def floats_free(spec: dict[str, Any]) -> bool:
@@ -273,11 +277,12 @@ def floats_free(spec: dict[str, Any]) -> bool:
 def _base(base: dict[str, Any]) -> tuple[pin.Model, int, pin.SE3]:
     """A model of the base joints, the joint that carries the root link, and its pose there."""
     model, carrier, root = pin.Model(), 0, placement(base)
-    free = base.get("moves") == "free"
-    if free:
+    moves = base.get("moves", [])
+    if moves == "free":
         root = pin.SE3.Identity()
         carrier = model.addJoint(0, pin.JointModelFreeFlyer(), root, "free")
-    for move in [] if free else base.get("moves", []):
+        moves = []
+    for move in ON_WHEELS if moves == DIFFERENTIAL else moves:
         carrier = model.addJoint(carrier, MOVES[move](), root, f"base_{move}")
         root = pin.SE3.Identity()
     if base.get("mass") is not None or base.get("inertia") is not None:

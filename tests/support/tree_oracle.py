@@ -11,7 +11,8 @@ Both solve
 
 .. math:: M a - A^T \lambda = f, \qquad A a = -\gamma
 
-with the multipliers of least norm among connections and mimic couplings.
+with the multipliers of least norm among connections, mimic couplings and wheels.  The origin of a
+base on wheels has no velocity along the base's y axis.
 """
 
 from __future__ import annotations
@@ -50,8 +51,10 @@ class TreeSolution:
         Whether the equations determine the wrench.
     mimic_torques : dict (robot, follower) -> float
         Torque of a mimic coupling on its follower.
+    wheel_forces : dict robot -> float
+        On the base along its y axis; those that the equations determine.
     rank, rows : int
-        Independent equations of connections and mimic couplings, and all of them.
+        Independent equations of connections, mimic couplings and wheels, and all of them.
     """
 
     object_acceleration: np.ndarray
@@ -61,6 +64,7 @@ class TreeSolution:
     origins: dict[str, np.ndarray]
     unique: dict[str, bool]
     mimic_torques: dict[tuple[str, str], float]
+    wheel_forces: dict[str, float]
     rank: int
     rows: int
 
@@ -88,7 +92,7 @@ def disagreement(solution: TreeSolution, peer: TreeSolution) -> float:
 def evaluation_errors(
     solution: TreeSolution, evaluation: Any, about: dict[str, np.ndarray]
 ) -> float:
-    """Largest error of an ``ma.Evaluation``, as :func:`disagreement` measures it.
+    """Largest error of an ``ma.Evaluation``, as :func:`disagreement` measures it, and of wheels.
 
     Its wrenches act on SECOND, about a point ``about`` (3,) [m] of the connection; about the origin
     of the joint's frame on SECOND where there is none.
@@ -106,6 +110,8 @@ def evaluation_errors(
         for name, unique in solution.unique.items()
         if unique
     ]
+    for name, force in solution.wheel_forces.items():
+        wrenches.append((np.array([force]), evaluation.contact_forces[name][-1:]))
     return max(_relative_difference(pairs), _relative_difference(wrenches))
 
 
@@ -117,7 +123,7 @@ def _relative_difference(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
 
 
 class Couplings(NamedTuple):
-    """Rows of all connections, then of mimic couplings.
+    """Rows of all connections, then of mimic couplings, then of wheels.
 
     A : (m, n), by generalised velocities; gamma : (m,), second derivatives at zero accelerations
     on_second : dict connection -> (6, rows), wrench on SECOND by multipliers
@@ -211,10 +217,18 @@ def _solution(trees, accelerations, rates, couplings, multipliers, loose) -> Tre
         change = np.linalg.norm(couplings.on_second[name] @ loose[rows])
         unique[name] = bool(change < UNIQUE_TOLERANCE)
     mimics = [(name, mimic.joint) for name, mimic in mimics_of(trees)]
-    first = multipliers.size - len(mimics)
+    wheels = [name for name, robot in trees.robots.items() if robot.wheels is not None]
+    first_wheel = multipliers.size - len(wheels)
+    first = first_wheel - len(mimics)
+    determined = np.linalg.norm(loose[first_wheel:], axis=1) < UNIQUE_TOLERANCE
+    wheel_forces = {
+        name: float(force)
+        for name, force, unique in zip(wheels, multipliers[first_wheel:], determined, strict=True)
+        if unique
+    }
     return TreeSolution(
         accelerations[OBJECT], rates, bases, wrenches, couplings.origins, unique,
-        dict(zip(mimics, multipliers[first:].tolist(), strict=True)),
+        dict(zip(mimics, multipliers[first:first_wheel].tolist(), strict=True)), wheel_forces,
         multipliers.size - loose.shape[1], multipliers.size,
     )  # fmt: skip
 
@@ -284,7 +298,7 @@ def mimics_of(trees: TreeScene) -> list[tuple[str, Mimic]]:
 
 
 def collect(trees: TreeScene, frame, n: int, rates: dict[str, slice]) -> Couplings:
-    """Rows of all connections and mimic couplings; ``frame`` gives the motion of a BodyFrame."""
+    """Rows of connections, mimic couplings, wheels; ``frame`` gives the motion of a BodyFrame."""
     A, gamma, values, on_second, origins, rows = [], [], [], {}, {}, {}
     for connection in trees.connections:
         first, second = frame(connection.first), frame(connection.second)
@@ -304,6 +318,12 @@ def collect(trees: TreeScene, frame, n: int, rates: dict[str, slice]) -> Couplin
         row[at[joints.index(mimic.leader)]] -= mimic.multiplier
         A.append(row)
         gamma.append(0.0)
+    for robot in trees.robots.values():
+        if robot.wheels is not None:
+            base = frame(robot.wheels)
+            sideways, (velocity, spin) = base.rotation[:, 1], np.split(base.twist, 2)
+            A.append(sideways @ base.jacobian[:3])
+            gamma.append(sideways @ base.bias[:3] + np.cross(spin, sideways) @ velocity)
     return Couplings(
         np.array(A).reshape(-1, n), np.array(gamma), on_second, origins, rows, np.array(values)
     )
