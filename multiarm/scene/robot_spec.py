@@ -58,8 +58,8 @@ def _moves(value: Any) -> Any:
         return value
     if not isinstance(value, list | tuple):
         raise invalid(
-            f"must be a list of some of {', '.join(_DIRECTIONS)}, or {DIFFERENTIAL!r}, or "
-            f"{FREE!r}, got {shown(value)}"
+            f"must be {DIFFERENTIAL!r}, {FREE!r} or a list of some of {', '.join(_DIRECTIONS)}, "
+            f"got {shown(value)}"
         )
     for direction in value:
         if direction not in _DIRECTIONS:
