@@ -15,10 +15,10 @@ joints.  So are the fingers of a hand, each as cheap as an arm of its own.  Join
 
 with the joints between them in Pinocchio's order.
 
-The rows of a block's joints (stops, dry friction, couplings, wheels) follow the contacts of its only
-connection where a robot has several blocks, as those of an arm do; else their owner is the robot.
-Since the rows of an owner stand together, blocks with such rows but without a connection of their
-own, or with several, are one.
+The rows of a block's joints (stops, dry friction, couplings, wheels) follow the contacts of its
+only connection where a robot has several blocks, as those of an arm do; else their owner is the
+robot.  Since the rows of an owner stand together, blocks with such rows but without a connection of
+their own, or with several, are one.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def branch_bounds(
     if arm.floats:  # its inertia joins everything
         return [0, arm.dof]
     groups = [joints_of_connection(arm, connection) for connection in connections]
-    groups += [row.joints for row in of_joints]
+    groups += [list(row.joints) for row in of_joints]
     groups += [[joint, parent] for joint, parent in enumerate(arm.parents) if parent >= 0]
     divides = np.ones(arm.dof + 1, dtype=bool)
     for joints in groups:

@@ -19,8 +19,8 @@ its kinetic energy.
 
 The accelerations of a robot with several tips satisfy these equations for all its connections at
 once: with the object, with the world, where :math:`\dot v_o` is zero, and of its links with each
-other, where it is that of the second link.  They keep its couplings and wheels too.  Contacts that do not act
-on the object carry nothing: the drives do.
+other, where it is that of the second link.  They keep its couplings and wheels too.  Contacts that
+do not act on the object carry nothing, nor do wheels: the drives do.
 
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
 CUHK 1995, section 3.10.

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import multiarm as ma
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.status import OK
-from multiarm.errors import SceneError
+from multiarm.errors import SceneError, SolverError
 from multiarm.integration.projection import project
 
 CHASSIS = """<robot name='chassis'><link name='base'/><link name='plate'/>
@@ -243,6 +243,31 @@ def test_gaps_are_closed_sideways_where_wheels_cannot_drive(chassis):
         assert project(data.struct, 1e-13) == OK
         assert update_kinematics(data.struct) == OK
         assert np.max(np.abs(data.contact_rows.gap)) < 1e-13
+
+
+# --- inverse dynamics ----------------------------------------------------------------------------
+
+
+def test_drives_of_a_motion_that_wheels_allow_are_those_of_a_unicycle(chassis):
+    """They do what wheels would: along the base's y axis, ``m (d w' + u w)``."""
+    ahead, yaw, u, w = 0.5, 0.4, 0.6, -0.7
+    system = ma.compile_system(cart_with_load(chassis, ahead, (0.3, -0.2, yaw), u, w))
+    state, slowing, turning = system.initial_state(), -0.9, 1.3
+    on_base = np.array([slowing - ahead * w**2, ahead * turning + u * w])
+    heading = 0.7 + yaw
+    desired = np.array([*(rotation(heading) @ on_base), 0, 0, 0, turning])
+    inverse = ma.inverse_dynamics(system, state, desired)
+    d, J = LOAD_MASS * ahead / MASS, BASE_INERTIA + LOAD_INERTIA + LOAD_MASS * ahead**2
+    forces = rotation(yaw) @ [MASS * (slowing - d * w**2), MASS * (d * turning + u * w)]
+    torque = J * turning + MASS * d * u * w
+    np.testing.assert_allclose(inverse.torques["cart"], [*forces, torque], rtol=1e-10)
+    slipping = desired + [*(rotation(heading) @ [0.0, 0.1]), 0, 0, 0, 0]
+    with pytest.raises(SolverError, match="'cart'"):
+        ma.inverse_dynamics(system, state, slipping)
+
+
+def rotation(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
 # --- derivatives ---------------------------------------------------------------------------------

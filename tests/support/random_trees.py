@@ -402,11 +402,13 @@ def moving_bases(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
 
 
 def floating_bases(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
-    """One or two robots that float, some with a tip held by the world or by a fixed robot."""
+    """One or two robots that float, some with a tip held by the world; one fixed or on wheels."""
     several = _floating(
         rng, tree_robot(rng, folder / "float.urdf", int(rng.integers(2, 4)), mimic=True)
     )
-    robots = {"float": several, "fixed": tree_robot(rng, folder / "fixed.urdf", 1)}
+    robots = {"float": several, "helper": tree_robot(rng, folder / "helper.urdf", 1)}
+    if rng.random() < 0.5:
+        robots["helper"] = _on_wheels(rng, robots["helper"])
     if rng.random() < 0.5:
         robots["second"] = _floating(rng, tree_robot(rng, folder / "second.urdf", 1))
     first, *tips = holds(robots)
