@@ -66,7 +66,8 @@ def subsets(full: Data, count: int) -> list[np.ndarray]:
 def test_selected_rows_are_those_of_the_table_that_was_packed(full):
     """Directions, gaps, rates and columns of W, tangents without their normal row included."""
     selection, alone = RowSelection(full), 0
-    bounds, dofs = full.model.layout.first_contact, full.model.layout.first_joint
+    layout = full.model.layout
+    bounds, dofs = layout.first_of_block, layout.first_joint_of_block
     for rows in subsets(full, 40):
         selection.select(rows)
         assert update_kinematics(selection.struct) == OK

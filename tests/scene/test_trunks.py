@@ -14,7 +14,8 @@ import multiarm as ma
 from multiarm.arms import arm as arms_room
 from multiarm.errors import SceneError
 from multiarm.scene import find_robot, load_scene, read_urdf
-from multiarm.viewer.animate import WHITE, animate, lowest
+from multiarm.viewer.animate import animate, lowest
+from multiarm.viewer.robot_bodies import WHITE
 
 EXAMPLE = SCENES / "two_arms_one_trunk.yaml"
 TORSO = {"torso_lift_joint": 0.15}
