@@ -46,6 +46,8 @@ def _weight_not_carried(system: System) -> list[str]:
         return []
     connections = system.model.connections.items()
     holding = ", ".join(repr(name) for name, pair in connections if pair.on_object)
+    if not holding:
+        return [f"{place(('control',))}: no joint holds the object, and it falls"]
     return [
         f"{place(('control',))}: the contacts of {holding} cannot carry all of the object's "
         f"weight, {number(weight, 'N')}: {numbers(left[:3], 'N')} and {numbers(left[3:], 'N m')} "

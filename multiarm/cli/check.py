@@ -122,6 +122,11 @@ def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
 def _robot(robot: RobotFacts) -> dict[str, RenderableType]:
     """One robot with tips; its joints with their positions at the start."""
     moves = ", ".join(robot.base_joints)
+    base = {
+        "floats": "floats",
+        "moves": f"moves by {moves}",
+        "wheels": f"on wheels, moves by {moves}",
+    }
     couplings = ", ".join(
         f"{mimic.joint} = {mimic.multiplier:g} {mimic.leader}"
         + (f" {mimic.offset:+g}" if mimic.offset else "")
@@ -129,7 +134,7 @@ def _robot(robot: RobotFacts) -> dict[str, RenderableType]:
     )
     return {
         "robot": f"{robot.robot} ({Path(robot.urdf).name})",
-        "base": f"{_base(robot)}, {f'moves by {moves}' if moves else 'fixed'}",
+        "base": f"{_base(robot)}, {base.get(robot.base, robot.base)}",
         "joints": _positions(robot),
         "tips": ", ".join(f"{tip} ({link})" for tip, link in robot.tips.items()) or "none",
         **({"couplings": couplings} if couplings else {}),
@@ -218,8 +223,9 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     cut = f"smallest relative singular value {number(smallest)}"
     if dropped is not None:
         cut += f", next {number(dropped)}"
+    bases = "6 of each floating base, " if freedom.floating_bases else ""
     rows: dict[str, RenderableType] = {
-        "degrees of freedom": f"{freedom.degrees_of_freedom} (6 of the object, one a joint)",
+        "degrees of freedom": f"{freedom.degrees_of_freedom} (6 of the object, {bases}one a joint)",
         "constraints": f"{freedom.constraints}, of which {freedom.rank} are independent ({cut})",
         "mobility": Text(str(freedom.mobility), "bold"),
     }

@@ -120,9 +120,9 @@ class RobotBaseSpec(Pose):
         for key in ("limits", "effort"):
             idle = [name for name in getattr(self, key) if name not in moves]
             if idle:
+                there = f"'moves' are {listed(moves)}" if moves else "add 'moves', or remove them"
                 raise invalid(
-                    f"{key!r} names {listed(idle)}, where the base does not move; 'moves' are "
-                    f"{listed(moves)}"
+                    f"{key!r} names {listed(idle)}, where the base does not move; {there}"
                 )
         if not moves and (self.mass is not None or self.inertia is not None):
             raise invalid(

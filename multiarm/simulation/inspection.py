@@ -45,6 +45,7 @@ from multiarm.scene import (
     JointSpec,
     NamedCode,
     ObjectSpec,
+    ResolvedRobot,
     RobotSpec,
     RunSpec,
     Scene,
@@ -100,7 +101,8 @@ class RobotFacts:
     tips: dict[str, str]  # name -> link
     base_position: list[float]
     base_quaternion_xyzw: list[float]
-    base_joints: list[str]  # the first of the joints; none: the base is fixed
+    base_joints: list[str]  # the first of the joints
+    base: str  # "fixed", "moves", "wheels" or "floats"
     joints: dict[str, str]  # in the order of its vectors
     posture: list[float]
     mimic: list[MimicCoupling]
@@ -146,7 +148,8 @@ class JointFacts:
 class Freedom:
     """Degrees of freedom of the system at its start."""
 
-    degrees_of_freedom: int  # of the parts: 6 for the object, one a joint
+    degrees_of_freedom: int  # of the parts: 6 of the object and of every floating base, one a joint
+    floating_bases: int
     constraints: int
     rank: int
     mobility: int
@@ -271,6 +274,7 @@ def count_freedom(data: Data) -> Freedom:
     names = [f"{arm}: {c.name}" for arm, contacts in data.model.contacts.items() for c in contacts]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
+        floating_bases=len(data.model.layout.bases),
         constraints=matrix.shape[1],
         rank=rank,
         mobility=matrix.shape[0] - rank,
@@ -371,6 +375,7 @@ def _robot_facts(system: System, name: str, evaluation: Evaluation | None) -> Ro
         base_position=position,
         base_quaternion_xyzw=quaternion,
         base_joints=[joint.name for joint in robot.files.base_joints],
+        base=_kind_of_base(system.model.robots[name]),
         joints=dict(robot.joint_units),
         posture=system.initial_state().joint_positions[name].tolist(),
         mimic=list(system.model.robots[name].mimic),
@@ -381,6 +386,14 @@ def _robot_facts(system: System, name: str, evaluation: Evaluation | None) -> Ro
         verdict=_verdict(pivot, "dependent rows"),
         lost_motions=[] if evaluation is None else list(evaluation.lost_motions.get(name, ())),
     )
+
+
+def _kind_of_base(robot: ResolvedRobot) -> str:
+    if robot.base_floats:
+        return "floats"
+    if robot.on_wheels:
+        return "wheels"
+    return "moves" if robot.base_joints else "fixed"
 
 
 def _verdict(pivot: float | None, singular: str = "cannot follow") -> str | None:
