@@ -69,8 +69,12 @@ def unilateral_constraints(
     parameters = _contact_parameters(scene, contacts)
     rows, first = RowBuilder(), 0
     for block in blocks:
-        _add_connections(rows, block.connections, contacts, parameters)
-        _add_joint_rows(rows, scene, block, first, laws)
+        # the rows of an owner stand together: those of an arm's joints follow its contacts
+        for owner in dict.fromkeys((*block.connections, block.owner)):
+            if owner in block.connections:
+                _add_connections(rows, [owner], contacts, parameters)
+            if owner == block.owner:
+                _add_joint_rows(rows, scene, block, first, laws)
         first += len(block.joints)
     _add_connections(rows, around, contacts, parameters)
     rows.start(SURROUNDINGS)

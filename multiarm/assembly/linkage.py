@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import Code, rolls
+from multiarm.contacts.table import Code, belongs_to_joints, rolls
 from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
@@ -34,7 +34,6 @@ from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Model
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.jit.rows import fields_of
-from multiarm.scene.values import SURROUNDINGS
 
 
 @dataclass(frozen=True)
@@ -230,7 +229,8 @@ class Linkage:
 def scene_size(data: Data) -> float:
     """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
     arrays, constants = data.arrays, data.model.constants
-    levers = arrays.rows.kinematics[_rows_of_bodies(data.model), :3] - arrays.state.object_pose[:3]
+    places = arrays.rows.kinematics[~rows_of_joints(data.model), :3]
+    levers = places - arrays.state.object_pose[:3]
     origins = fields_of(BodyMotion, arrays.bodies.links).origin
     robots = [robot for robot, _ in data.model.backends.links]
     reaches = origins - _places_of_bases(data)[robots]
@@ -249,15 +249,10 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
-def _rows_of_bodies(model: Model) -> np.ndarray:
-    """The rows that have a place: not those of a robot's joints alone."""
-    layout = model.layout
-    rows = [
-        np.arange(layout.contacts)[layout.contacts_of(c)]
-        for c, owner in enumerate(layout.owners)
-        if owner in model.connections or owner == SURROUNDINGS
-    ]
-    return np.concatenate([np.zeros(0, dtype=np.int64), *rows])
+def rows_of_joints(model: Model) -> np.ndarray:
+    """Which rows belong to robots' joints alone, such as couplings: bool (N,)."""
+    codes = fields_of(Code, model.constants.contacts.codes[: model.layout.contacts])
+    return belongs_to_joints(codes.kind)
 
 
 def _places_of_bases(data: Data) -> np.ndarray:
@@ -275,7 +270,7 @@ def _places_of_bases(data: Data) -> np.ndarray:
 
 
 def gaps_by_arm(data: Data) -> dict[str, float]:
-    """Largest magnitude of a gap, by owner of rows [m]; of a robot's couplings [rad, m]."""
+    """Largest magnitude of a gap, by owner of rows [m]; of couplings [rad, m]."""
     return _largest_by_arm(data, data.contact_rows.gap)
 
 

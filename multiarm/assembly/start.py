@@ -38,9 +38,9 @@ from multiarm.assembly.linkage import (
     projection_tolerance,
     scene_size,
 )
-from multiarm.assembly.loop_closure import FARTHEST, close_gaps
+from multiarm.assembly.loop_closure import close_gaps
 from multiarm.assembly.robots import Robots
-from multiarm.assembly.start_faults import cannot_close, inside, too_far
+from multiarm.assembly.start_faults import cannot_close, inside, listed_gaps, too_far
 from multiarm.contacts.motion import BodyMotion
 from multiarm.dynamics.contact_geometry import locate_pairs, patch_margin, place_state
 from multiarm.dynamics.data import Data
@@ -88,13 +88,9 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         )
     gaps, rates = gaps_by_arm(data), gap_rates_by_arm(data)
     size = scene_size(data)
-    limit = 0.1 * size
-    limits_of_gaps = {
-        owner: limit if owner in data.model.connections else FARTHEST * max(1.0, size)
-        for owner in gaps
-    }
-    if not all(gap <= limits_of_gaps[owner] for owner, gap in gaps.items()):
-        raise SceneError(too_far(data, scene, name, gaps, limits_of_gaps))
+    faults = too_far(data, scene, name, size)
+    if faults:
+        raise SceneError(faults)
     limits, outside = _limits(data, written)
     held = _close(data, name, gaps, limits, size)
     _check_way_round(data, scene, name)
@@ -259,7 +255,7 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     if max(gaps.values()) <= tolerance:
         return True
     linkage = Linkage(data, list(range(data.model.layout.block_count)), True, limits)
-    begin = linkage.posture()
+    begin, gaps_in_words = linkage.posture(), listed_gaps(data)
     of_blocks, of_world = _gaps_by_block(data, gaps)
     closed, swings = of_world <= tolerance, False
     for i, gap in enumerate(of_blocks if closed else []):
@@ -279,7 +275,7 @@ def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, si
     if closed:
         linkage.place(arms_alone)
         return True
-    raise SceneError(cannot_close(data, name, gaps, linkage, end))
+    raise SceneError(cannot_close(data, name, gaps_in_words, linkage, end))
 
 
 def _gaps_by_block(data: Data, gaps: dict[str, float]) -> tuple[list[float], float]:

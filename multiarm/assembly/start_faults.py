@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from multiarm.assembly.linkage import (
     Linkage,
-    gaps_by_arm,
     joints_at_limit,
     projection_tolerance,
+    rows_of_joints,
 )
 from multiarm.assembly.loop_closure import FARTHEST, MOST_STEPS, Closing, Outcome
 from multiarm.contacts.table import JointRow
@@ -16,6 +18,7 @@ from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import wrench_rows
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
+from multiarm.geometry.records import Contact
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import SURROUNDINGS
@@ -46,24 +49,64 @@ def inside(data: Data, constraint: Constraint, depth: float) -> str:
     )
 
 
-def too_far(
-    data: Data, scene: Scene, name: str, gaps: dict[str, float], limits: dict[str, float]
-) -> list[str]:
-    """One fault for every owner of rows whose gap in the data exceeds its limit [m; rad]."""
+class LargestGap(NamedTuple):
+    """The row with the largest gap among an owner's contacts, or among its couplings of joints."""
+
+    owner: str  # of couplings the robot
+    row: Contact | JointRow
+    gap: float  # magnitude [m]; of couplings [rad, m]
+
+    @property
+    def of_joints(self) -> bool:
+        """Whether it is a coupling's."""
+        return isinstance(self.row, JointRow)
+
+    def __str__(self) -> str:
+        if self.of_joints:
+            return f"couplings of {self.owner}: {self.gap:.3g} rad or m"
+        return f"{self.owner}: {self.gap:.3g} m"
+
+
+def largest_gaps(data: Data) -> list[LargestGap]:
+    """The largest gaps in the data, of the contacts and of the couplings of every owner."""
+    layout, largest = data.model.layout, []
+    for c, (owner, gaps) in enumerate(layout.split_contacts(data.contact_rows.gap).items()):
+        records, magnitudes = data.model.contacts[owner], np.abs(gaps)
+        for kind in (Contact, JointRow):
+            rows = [row for row, record in enumerate(records) if isinstance(record, kind)]
+            if not rows:
+                continue
+            worst = rows[int(np.argmax(magnitudes[rows]))]
+            name = owner
+            if kind is JointRow:
+                name = layout.names[layout.robot_of_block[layout.block_of[c]]]
+            largest.append(LargestGap(name, records[worst], float(magnitudes[worst])))
+    return largest
+
+
+def listed_gaps(data: Data) -> str:
+    """The largest gaps in the data, in one line."""
+    return ", ".join(map(str, largest_gaps(data)))
+
+
+def too_far(data: Data, scene: Scene, name: str, size: float) -> list[str]:
+    """Faults of gaps in the data that are too large to be closed in a scene of a ``size`` [m].
+
+    Contacts are closed from a tenth of the size; couplings from as far as joints may move.
+    """
     kinds = {joint.connection: joint.kind for joint in scene.joints}
-    phi = data.model.layout.split_contacts(np.abs(data.contact_rows.gap))
-    faults, near = [], {}
-    for owner, gap in gaps.items():
-        limit = limits[owner]
-        if gap <= limit:
-            near[owner] = gap
+    limit, limit_of_joints = 0.1 * size, FARTHEST * max(1.0, size)
+    faults, near = [], []
+    for largest in largest_gaps(data):
+        owner, row, gap = largest
+        if gap <= (limit_of_joints if largest.of_joints else limit):
+            near.append(str(largest))
             continue
-        row = data.model.contacts[owner][int(np.argmax(phi[owner]))]
-        if owner not in data.model.connections:
+        if largest.of_joints:
             faults.append(
                 f"{name} does not satisfy the couplings of the joints of "
                 f"{owner_of(data.model, owner)}: '{row.name}' is off by {gap:.4g} rad or m, up to "
-                f"{limit:.3g} is assembled; correct the posture"
+                f"{limit_of_joints:.3g} is assembled; correct the posture"
             )
             continue
         remedy = "or `at` (or leave `at` out to join the object where the tip is)"
@@ -78,15 +121,13 @@ def too_far(
             f"at '{row.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
             f"{remedy}"
         )
-    if near:
-        faults[-1] += f" (gaps of the other joints: {_listed(near)})"
+    if faults and near:
+        faults[-1] += f" (gaps of the other joints: {', '.join(near)})"
     return faults
 
 
-def cannot_close(
-    data: Data, name: str, gaps: dict[str, float], linkage: Linkage, end: Closing
-) -> list[str]:
-    """Why the linkage of object and all robots could not be closed, from ``gaps`` as written [m].
+def cannot_close(data: Data, name: str, gaps: str, linkage: Linkage, end: Closing) -> list[str]:
+    """Why the linkage of object and all robots could not be closed, from ``gaps`` as written.
 
     The posture that was reached is in the data.
     """
@@ -99,10 +140,7 @@ def cannot_close(
         why = f"{names[worst]} would have to move by more than "
         why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"
     else:
-        gaps_left = ", ".join(
-            f"{arm}: {gap:.3g} m at '{_worst_contact(data, arm)}'"
-            for arm, gap in gaps_by_arm(data).items()
-        )
+        gaps_left = ", ".join(f"{gap} at '{gap.row.name}'" for gap in largest_gaps(data))
         if end.outcome is Outcome.TOO_SLOW:
             why = f"{MOST_STEPS} steps were too few, {gaps_left} is left"
         else:
@@ -117,7 +155,7 @@ def cannot_close(
             why += f"; at a limit: {', '.join(stopped)}"
     return [
         f"{name} does not satisfy the joints and could not be closed from there (gaps "
-        f"{_listed(gaps)}): {why}; move the postures or `at` closer together, "
+        f"{gaps}): {why}; move the postures or `at` closer together, "
         "or leave out `at` to join the object where the tip is"
     ]
 
@@ -126,11 +164,10 @@ def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
     """Joints whose own contacts cannot all be closed, wherever their bodies are."""
     faults, tolerance = [], projection_tolerance(data)
     wrenches, gaps = wrench_rows(data) * linkage.unit[:6], data.contact_rows.gap
-    layout = data.model.layout
+    layout, with_places = data.model.layout, ~rows_of_joints(data.model)
     for c, owner in enumerate(layout.owners):
-        rows = linkage.rows[
-            np.isin(linkage.rows, np.arange(layout.contacts)[layout.contacts_of(c)])
-        ]
+        of_owner = np.arange(layout.contacts)[layout.contacts_of(c)]
+        rows = np.intersect1d(linkage.rows, of_owner[with_places[of_owner]])
         if owner not in data.model.connections or not rows.size:
             continue
         phi = gaps[rows]
@@ -151,13 +188,3 @@ def _contradictions(data: Data, name: str, linkage: Linkage) -> list[str]:
             f"correct its geometry"
         )
     return faults
-
-
-def _listed(gaps: dict[str, float]) -> str:
-    """Gaps of owners of rows [m] in one line."""
-    return ", ".join(f"{arm}: {gap:.3g} m" for arm, gap in gaps.items())
-
-
-def _worst_contact(data: Data, arm: str) -> str:
-    phi = data.model.layout.split_contacts(data.contact_rows.gap)[arm]
-    return data.model.contacts[arm][int(np.argmax(np.abs(phi)))].name

@@ -245,6 +245,11 @@ def rolls(kind):
     return (kind == TANGENT) | (kind == WHEELS)
 
 
+def belongs_to_joints(kind):
+    """Whether a row belongs to joints alone: it has no place; of arrays, entry by entry."""
+    return (kind == JOINT) | (kind == WHEELS)
+
+
 def pack(contacts: Sequence[Record]) -> PackedContacts:
     """Pack records for the kernel."""
     codes: list[Code] = []

@@ -7,8 +7,9 @@ alone come and go.  Compliant contacts are springs and dampers: their rows are m
 active.  All other rows are *bilateral*.  :mod:`multiarm.assembly.contact_effects` derives the
 constraints from a scene; :mod:`multiarm.events` decides which are active at a time.
 
-Rows are in the order of the stacked vectors: block by block the contacts of its connections, each
-followed by its tangents, then its joints; last the contacts of the object with the floor.
+Rows are in the order of the stacked vectors: block by block and owner by owner the contacts of its
+connections, each followed by its tangents, and the rows of its joints; last the contacts of the
+object with the floor.
 """
 
 from __future__ import annotations

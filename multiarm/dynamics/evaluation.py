@@ -386,7 +386,11 @@ class Evaluation:
         :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
         """
         contacts = self._held.model.contacts
-        names = [f"{name}/{contact.name}" for name in self._holding for contact in contacts[name]]
+        names = [
+            f"{name}/{contacts[name][row].name}"
+            for name, rows in self._holding.items()
+            for row in rows
+        ]
         return internal_forces(self.W_o, form, rows, names)
 
     def force_decomposition(
@@ -394,12 +398,12 @@ class Evaluation:
     ) -> ForceDecomposition:
         """Contact forces as those that move the object and those that only squeeze it [N].
 
-        Friction is left out.  ``internal`` is the basis of the coordinates, orthonormal when left
-        out.  With ``length``, forces are measured in newtons and couples over this lever arm [m];
-        else multipliers as they are.
+        Friction is left out, and so are couplings of joints.  ``internal`` is the basis of the
+        coordinates, orthonormal when left out.  With ``length``, forces are measured in newtons and
+        couples over this lever arm [m]; else multipliers as they are.
         """
         internal = internal or self.internal_forces()
-        forces = [self._joint_forces[name] for name in self._holding]
+        forces = [self._joint_forces[name][rows] for name, rows in self._holding.items()]
         parts = decompose(self.W_o, np.concatenate(forces), internal, length)
         bounds = np.cumsum([len(force) for force in forces])[:-1]
 
@@ -420,16 +424,22 @@ class Evaluation:
 
         Of a joint between the object and the world, whose forces act on the world, their opposite.
         """
-        connections, terms = self._held.model.connections, self.contact_terms
-        return np.hstack(
-            [terms[n].W_o if connections[n].on_object else terms[n].W_m for n in self._holding]
-        )
+        connections, parts = self._held.model.connections, []
+        for name, rows in self._holding.items():
+            terms = self.contact_terms[name]
+            on_second = terms.W_o if connections[name].on_object else terms.W_m
+            parts.append(on_second[:, rows])
+        return np.hstack(parts)
 
     @cached_property
-    def _holding(self) -> tuple[str, ...]:
-        """The connections of the object."""
-        connections = self._held.model.connections
-        return tuple(name for name, pair in connections.items() if pair.of_object)
+    def _holding(self) -> dict[str, list[int]]:
+        """The connections of the object, with those of their rows that are contacts."""
+        model, rows = self._held.model, {}
+        for name, pair in model.connections.items():
+            if pair.of_object:
+                records = model.contacts[name]
+                rows[name] = [k for k, record in enumerate(records) if isinstance(record, Contact)]
+        return rows
 
 
 def evaluate(data: Data, t: float, state: State) -> Evaluation:

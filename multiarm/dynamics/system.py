@@ -191,11 +191,10 @@ class System:
     def _repr_html_(self) -> str:
         facts = {"object": f"{self.model.constants.object_mass:g} kg"}
         joints = {joint.connection: joint for joint in self.scene.joints}
-        for name, pair in self.model.connections.items():
-            noun, of_robot = "arm", ""
-            if pair.first.tip or not pair.on_object:
-                noun = "connection"
-            else:
+        for name in self.model.connections:
+            noun, of_robot = "connection", ""
+            if name in self.arms:
+                noun = "arm"
                 of_robot = f"{count_of(len(self.arms[name].joint_names), 'joint')}, joined by "
             facts[f"{noun} {name}"] = (
                 f"{of_robot}{joints[name].kind}: {count_of(len(self.contacts[name]), 'contact')}, "

@@ -93,14 +93,21 @@ def connection_faults(joints: Sequence[WrittenJoint] | None, robots: Robots) -> 
 
 
 def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
-    """Joints of one name, which results could not tell apart."""
+    """Joints with the name of another joint, of a robot or of the floor: results have them by name.
+
+    The joint of an arm, ``arm: NAME``, has the arm's.
+    """
     of_bodies = [
         joint
         for joint in joints
         if joint.bodies is not None
         and all(body.robot in robots or not body.is_link for body in joint.bodies)
     ]
-    names = Counter(joint.connection for joint in of_bodies)
+    names = Counter(
+        joint.connection
+        for joint in of_bodies
+        if joint.between is None or joint.connection not in robots
+    )
     tips = {joint.arm for joint in of_bodies if joint.between is None}
     for name, count in names.items():
         if count == 1:
@@ -119,8 +126,18 @@ def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
                 f"{count} joints have the name {name!r}; give all but one a 'name' of their own",
             )
     for k, joint in enumerate(joints):
-        if joint.between is not None and joint.connection == SURROUNDINGS:
+        connection = joint.connection
+        if joint.between is None or connection is None:
+            continue
+        if connection == SURROUNDINGS:
             text = f"no joint can be named {SURROUNDINGS!r}: results have the floor's forces there"
+            yield ("joints", k, "name"), text
+        elif connection in robots:
+            noun = "arm" if robots[connection].tips is None else "robot"
+            text = (
+                f"the joint has the name of {noun} {connection!r}, under which results have "
+                f"what belongs to the {noun}; give it another 'name'"
+            )
             yield ("joints", k, "name"), text
 
 

@@ -12,7 +12,7 @@ import pytest
 from random_trees import FAMILIES, draw_trees
 from tree_models import TreeState, read_tree_scene, robot_tables
 from tree_oracle import Motions, collect, worst_gap
-from tree_scenes import cart_scene, gripper_scene
+from tree_scenes import cart_scene, coupled_hand, gripper_scene, together
 
 import multiarm as ma
 from multiarm.errors import SceneError
@@ -109,18 +109,47 @@ def test_starts_too_far_off_are_refused_with_the_connections_that_are():
         ma.compile_system(parse_scene(scene))
 
 
-def test_the_size_of_a_scene_does_not_depend_on_where_its_base_has_gone():
-    """Gaps up to a tenth of the size are assembled: 3 m are none of a cart 40 m away."""
+def scene_size_at_start(scene) -> float:
     from multiarm.assembly.linkage import scene_size
     from multiarm.dynamics.contact_geometry import place_state
 
+    system = ma.compile_system(parse_scene(scene))
+    with system.borrow() as data:
+        place_state(data, 0.0, system.initial_state())
+        return scene_size(data)
+
+
+def test_the_size_of_a_scene_does_not_depend_on_where_its_base_has_gone():
+    """Gaps up to a tenth of the size are assembled: 3 m are none of a cart 40 m away."""
     sizes = []
     for away in (0.0, 40.0):
         scene = cart_scene()
         scene["object"]["pose"]["xyz"][0] += away
         scene["robots"]["cart"]["posture"][0] += away
-        system = ma.compile_system(parse_scene(scene))
-        with system.borrow() as data:
-            place_state(data, 0.0, system.initial_state())
-            sizes.append(scene_size(data))
+        sizes.append(scene_size_at_start(scene))
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-12)
+
+
+def test_the_size_of_a_hand_with_a_coupling_does_not_depend_on_where_it_stands(tmp_path):
+    """The coupling's row has no place; roundings are 50 m times 1e-16 of some tenths of a metre."""
+    sizes = [scene_size_at_start(coupled_hand(tmp_path, away=away)) for away in (0.0, 50.0)]
+    assert sizes[1] == pytest.approx(sizes[0], rel=1e-12)
+
+
+@pytest.mark.parametrize("fingers", [(2,), (2, 2, 2)], ids=["one block", "a block a finger"])
+def test_couplings_are_closed_from_as_far_on_a_finger_as_on_a_whole_robot(fingers, tmp_path):
+    scene = coupled_hand(tmp_path, fingers, off=0.3)
+    system = ma.compile_system(parse_scene(scene))
+    assert max(system.start_report.gaps.values()) == pytest.approx(0.3)
+    assert worst_gap(read_tree_scene(scene), start_state(system)) < CLOSED
+    with pytest.raises(SceneError, match=r"couplings of the joints of robot 'hand'.* rad"):
+        ma.compile_system(parse_scene(coupled_hand(tmp_path, fingers, off=0.9)))
+
+
+def test_a_coupling_that_cannot_be_closed_is_no_contradiction_of_contacts(tmp_path):
+    """The world holds the object, which holds the finger where its joints are not alike."""
+    scene = coupled_hand(tmp_path, (2, 2), off=0.3, kind="weld")
+    scene["joints"].append({"between": ["object", "world"], "kind": "weld"})
+    with pytest.raises(SceneError, match=r"couplings of hand: 0\.3 rad") as error:
+        ma.compile_system(parse_scene(together(scene)))
+    assert "contradict" not in str(error.value)

@@ -14,7 +14,7 @@ from merged_arms import ROBOT, as_one_robot
 from random_trees import FAMILIES, draw_moving_trees
 from tree_models import BodyFrame, body_frame, connection_ends, read_tree_scene
 from tree_oracle import Motions, solve_minimal
-from tree_scenes import cart_scene
+from tree_scenes import arm_joined_twice, cart_scene, coupled_hand
 
 import multiarm as ma
 from multiarm.errors import ModelError
@@ -135,3 +135,19 @@ def test_everything_shows_itself(family, tmp_path):
         assert all(connection.name in html for connection in drawn.trees.connections)
     assert ev.contact_forces_unique.keys() == ev.contact_forces.keys()
     assert set(ev.conditioning) == set(drawn.trees.robots)
+
+
+def test_both_joints_of_an_arm_show_themselves():
+    html = ma.compile_system(parse_scene(arm_joined_twice()))._repr_html_()
+    assert "arm left" in html and "connection left-object" in html
+
+
+def test_couplings_have_no_part_in_internal_forces(tmp_path):
+    """Three points in general position, 9 forces, have the 3 that squeeze the sides between."""
+    system = ma.compile_system(parse_scene(coupled_hand(tmp_path)))
+    ev = ma.evaluate(system)
+    assert ev.W_o.shape == (6, 9)
+    assert ev.internal_forces().basis.shape == (9, 3)
+    parts = ev.force_decomposition()
+    for name, force in ev.normal_forces.items():
+        np.testing.assert_allclose(parts.moving[name] + parts.squeezing[name], force, atol=1e-12)

@@ -15,9 +15,10 @@ from event_scenes import held_box, lifting
 from mechanics import ur5_pair
 from merged_arms import ROBOT, as_one_robot, joints_by_arm
 from tree_models import read_tree_scene
-from tree_scenes import gripper_scene
+from tree_scenes import arm_joined_twice, gripper_scene
 
 import multiarm as ma
+from multiarm.dynamics.contact_geometry import place_state
 from multiarm.scene import parse_scene
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
@@ -257,3 +258,18 @@ def test_an_evaluation_with_friction_certifies_itself():
     assert ev.contact_forces.keys() == ev.contact_forces_unique.keys()
     assert ev.contact_forces["gripper"].shape == (1,)  # the coupling of the cranks
     assert {name: f.size for name, f in ev.normal_forces.items()}["gripper/left"] == 3
+
+
+def test_stops_of_an_arm_with_two_connections_are_where_its_joints_end():
+    """Their gaps are the distances of the joints from the ends of their ranges, 2 rad."""
+    system = ma.compile_system(parse_scene(arm_joined_twice(effects={"joint_limits": {}})))
+    start = system.initial_state()
+    with system.borrow() as data:
+        place_state(data, 0.0, start)
+        gaps = data.contact_rows.gap.copy()
+    stops = {constraint.name: constraint.row for constraint in system.model.unilateral.constraints}
+    ends = {}
+    for joint, position in zip(("j1", "j2"), start.joint_positions["left"], strict=True):
+        ends[f"{joint} at its lower limit"] = 2.0 + position
+        ends[f"{joint} at its upper limit"] = 2.0 - position
+    assert {name: gaps[row] for name, row in stops.items()} == pytest.approx(ends, abs=1e-15)

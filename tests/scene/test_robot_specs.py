@@ -343,6 +343,8 @@ def test_joints_name_their_bodies_and_themselves():
         (weld("tiago/base_link", "world"), "$.joints[0].between"),
         (weld("tiago/left", "helper"), "$.joints[0].between"),
         (weld("tiago/left", "world", name="floor"), "$.joints[0].name"),
+        (weld("tiago/left", "world", name="tiago"), "$.joints[0].name"),
+        (weld("tiago/left", "world", name="helper"), "$.joints[0].name"),
     ],
 )
 def test_joints_between_what_cannot_be_joined_are_refused(joint, place):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from random_trees import close_joints
+from event_scenes import arm
+from random_trees import close_joints, random_hand
 from tree_models import pose_of, read_tree_scene, start_of
 from tree_oracle import least_change
 
@@ -85,7 +87,7 @@ def cart_scene() -> dict[str, Any]:
                     "robot": "dual_arm_cart",
                     "base": moves,
                     "tips": {"left": "left_tool", "right": "right_tool"},
-                    "posture": CART_POSTURE,
+                    "posture": list(CART_POSTURE),
                 }
             },
             "joints": [
@@ -223,3 +225,54 @@ def turned_gripper(moves: tuple[str, ...] = ()) -> dict[str, Any]:
     scene["object"]["twist"] = state.object_twist.tolist()
     gripper["velocity"] = state.joint_velocities["gripper"].tolist()
     return scene
+
+
+def coupled_hand(
+    folder: Path,
+    fingers: tuple[int, ...] = (2, 2, 2),
+    away: float = 0.0,
+    off: float = 0.0,
+    kind: str = "ball",
+) -> dict[str, Any]:
+    """A hand that holds an object with its fingers, and whose second joint copies its first one.
+
+    All of it is ``away`` [m] from the world's origin, along x.  The copy is ``off`` [rad] at the
+    start, where the joints of this ``kind`` are closed.
+    """
+    path = folder / "hand.urdf"
+    random_hand(np.random.default_rng(4), path, list(fingers), copies=False)
+    tips = {f"tip_{k}": f"link_{end}" for k, end in enumerate(np.cumsum(fingers))}
+    return together(
+        {
+            "gravity": None,
+            "object": {
+                "mass": 1.0,
+                "inertia": [0.004, 0.004, 0.004],
+                "pose": {"xyz": [away + 0.3, 0.0, 0.0]},
+            },
+            "robots": {
+                "hand": {
+                    "urdf": str(path),
+                    "base": {"xyz": [away, 0.0, 0.0]},
+                    "tips": tips,
+                    "posture": [0.2, 0.2 + off, *[0.2] * (sum(fingers) - 2)],
+                    "mimic": {"joint_2": {"of": "joint_1"}},
+                }
+            },
+            "joints": [{"arm": f"hand/{tip}", "kind": kind} for tip in tips],
+        }
+    )
+
+
+def arm_joined_twice(**more: Any) -> dict[str, Any]:
+    """An arm of two hinges, with ranges of 2 rad to both sides, with two joints to the object."""
+    return {
+        "gravity": None,
+        "object": {"shape": {"sphere": 0.1}, "mass": 1.0},
+        "arms": {"left": arm("ZY", posture=[0.1, 0.3], ends=2.0)},
+        "joints": [
+            {"arm": "left", "kind": "ball"},
+            {"between": ["left", "object"], "kind": "weld"},
+        ],
+        **more,
+    }
