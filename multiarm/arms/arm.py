@@ -133,10 +133,10 @@ class Arm:
         self.files = files
         self.color = color
         try:
-            self.model, _ = _assemble(name, files)
+            self.model, _ = _assemble(self.text, files)
         except ValueError as error:  # such as a joint and a link of one name
             raise ModelError(
-                f"arm '{name}': Pinocchio cannot put {files.urdf} together: {error}"
+                f"{self.text}: Pinocchio cannot put {files.urdf} together: {error}"
             ) from error
         if rotor_inertia is not None:
             # `crba` adds it to the diagonal of M
@@ -150,7 +150,7 @@ class Arm:
         self.circular = np.array([j.nq == 2 for j in joints], dtype=bool)
         if any(j.nv != 1 for j in joints):
             raise ModelError(
-                f"arm '{name}': only revolute, continuous and prismatic joints are supported; "
+                f"{self.text}: only revolute, continuous and prismatic joints are supported; "
                 f"lock the others (`lock: {{joint: value}}`)"
             )
         prismatic = [j.shortname().startswith("JointModelP") for j in joints]
@@ -178,12 +178,22 @@ class Arm:
         return f"Arm({self.name!r}, {count_of(len(self.joint_names), 'joint')}, tip {tips})"
 
     @property
+    def noun(self) -> str:
+        """What it is in messages: ``arm``, whose only tip has no name, or ``robot``."""
+        return "arm" if "" in self.files.tips else "robot"
+
+    @property
+    def text(self) -> str:
+        """It and its name in messages: ``arm 'left'``, ``robot 'cart'``."""
+        return f"{self.noun} '{self.name}'"
+
+    @property
     def _first_joint(self) -> int:
         """Pinocchio's number of the first joint that is none of a floating base."""
         return 3 if self.floats else 1
 
     def _make_tip(self, link: str) -> ArmTip:
-        frame_id = _frame_id(self.model, link, self.name)
+        frame_id = _frame_id(self.model, link, self.text)
         frame = self.model.frames[frame_id]
         return ArmTip(
             frame_id=frame_id,
@@ -245,7 +255,7 @@ class Arm:
         kind = pin.FrameType.BODY
         if not self.model.existFrame(name, kind):  # a site of an MJCF file
             kind = pin.FrameType.OP_FRAME
-        frame = self.model.frames[_frame_id(self.model, name, self.name, kind)]
+        frame = self.model.frames[_frame_id(self.model, name, self.text, kind)]
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
@@ -385,11 +395,11 @@ class Arm:
         Files of meshes are not read here: a shape that is a mesh has the type ``BVHModelBase``,
         and its path and scale.
         """
-        return _assemble(self.name, self.files, pin.GeometryType.VISUAL)[1]
+        return _assemble(self.text, self.files, pin.GeometryType.VISUAL)[1]
 
     def collision_model(self) -> pin.GeometryModel:
         """The collision geometry as :meth:`visual_model`; of a file without any, its visual one."""
-        return _assemble(self.name, self.files, pin.GeometryType.COLLISION)[1]
+        return _assemble(self.text, self.files, pin.GeometryType.COLLISION)[1]
 
 
 def _motion(joint: pin.JointModel) -> np.ndarray:
@@ -404,19 +414,19 @@ def _positive_or_infinite(values: np.ndarray) -> np.ndarray:
     return np.where((values > 0) & np.isfinite(values) & (values < 1e300), values, np.inf)
 
 
-def _frame_id(model: pin.Model, frame: str, arm: str, *kind: pin.FrameType) -> int:
+def _frame_id(model: pin.Model, frame: str, robot: str, *kind: pin.FrameType) -> int:
     if not model.existFrame(frame, *kind):
         names = ", ".join(f.name for f in model.frames if f.type == pin.FrameType.BODY)
-        raise ModelError(f"arm '{arm}': no frame '{frame}'; links are {names}")
+        raise ModelError(f"{robot}: no frame '{frame}'; links are {names}")
     return model.getFrameId(frame, *kind)
 
 
-def _from_urdf(name: str, urdf: Path | str) -> pin.Model:
+def _from_urdf(robot: str, urdf: Path | str) -> pin.Model:
     """The model of a URDF, which nobody may write: arms of one file share it."""
     try:
         return _read(urdf, urdf.stat().st_mtime_ns if isinstance(urdf, Path) else 0)
     except (OSError, ValueError, RuntimeError) as error:
-        raise ModelError(f"arm '{name}': Pinocchio cannot read {urdf}: {error}") from error
+        raise ModelError(f"{robot}: Pinocchio cannot read {urdf}: {error}") from error
 
 
 @lru_cache(maxsize=16)
@@ -426,21 +436,21 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    name: str, files: ArmFiles, kind: pin.GeometryType | None = None
+    robot: str, files: ArmFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
     """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
     base = _placed_base(files)
-    model = mjcf_model(files.urdf)[0] if files.mjcf else _from_urdf(name, files.urdf)
+    model = mjcf_model(files.urdf)[0] if files.mjcf else _from_urdf(robot, files.urdf)
     geometry, tool_geometry = pin.GeometryModel(), pin.GeometryModel()
     if kind is not None:
         geometry = _geometry(model, files.urdf, files.package_dirs, kind, files.mjcf)
     armature = dict(zip(model.names[1:], model.armature, strict=False))
     if files.tool_urdf is not None:
         assert files.mount is not None, "a tool has a mount"
-        tool = _from_urdf(name, files.tool_urdf)
+        tool = _from_urdf(robot, files.tool_urdf)
         if kind is not None:
             tool_geometry = _geometry(tool, files.tool_urdf, files.tool_package_dirs, kind)
-        mount = _frame_id(model, files.mount, name)
+        mount = _frame_id(model, files.mount, robot)
         placement = pin.SE3(files.tool_placement)
         armature |= dict(zip(tool.names[1:], tool.armature, strict=False))
         model, geometry = pin.appendModel(model, tool, geometry, tool_geometry, mount, placement)
@@ -449,7 +459,7 @@ def _assemble(
         ids = []
         for joint, value in files.locked.items():
             if not model.existJointName(joint):
-                raise ModelError(f"arm '{name}': no joint '{joint}' to lock")
+                raise ModelError(f"{robot}: no joint '{joint}' to lock")
             ids.append(model.getJointId(joint))
             at, size = model.joints[ids[-1]].idx_q, model.joints[ids[-1]].nq
             reference[at : at + size] = [np.cos(value), np.sin(value)] if size == 2 else value

@@ -95,7 +95,7 @@ class ArmBackends:
         if compiled:
             self._compiled, self.reasons = compile_arms(arms, gravity, self.links)
         for name, reason in self.reasons.items():
-            warnings.warn(f"arm '{name}' stays with Pinocchio: {reason}", stacklevel=2)
+            warnings.warn(f"{arms[name].text} stays with Pinocchio: {reason}", stacklevel=2)
         names, in_order = list(arms), list(arms.values())
         if self._compiled is not None:
             self.by_arm |= {names[place]: "compiled" for place in self._compiled.places}

@@ -102,7 +102,7 @@ def joints_with_rows(scene: Scene, laws: JointLaws) -> dict[str, set[int]]:
     for robot, of_joints in laws.limits.items():
         ends = [_range(scene, robot, *limit)[0] for limit in of_joints.items()]
         before = laws.of_bases[robot]
-        ranged = before + np.flatnonzero(np.isfinite(ends).any(axis=1))
+        ranged = before + np.flatnonzero(np.isfinite(np.reshape(ends, (-1, 2))).any(axis=1))
         joints[robot] = set(ranged.tolist())
         joints[robot] |= {row.joint for row in laws.bilateral[robot]}
         if laws.dry is not None:

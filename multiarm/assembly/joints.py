@@ -26,6 +26,7 @@ from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.failures import joint_of, joint_text
 from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
@@ -196,6 +197,7 @@ def _layout(
         first_contact=_bounds([len(records[name]) for name in owners]),
         block_of=tuple(of_owners),
         bases=tuple(i for i, arm in enumerate(robots.arms.values()) if arm.floats),
+        noun="arms" if all(arm.noun == "arm" for arm in robots.arms.values()) else "robots",
     )
 
 
@@ -251,7 +253,8 @@ def _make_joint(joint: Any, scene: Scene, robots: Robots) -> Joint:
             pose = np.linalg.solve(second, frame)
         contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
     except ModelError as error:
-        raise ModelError(f"joint of arm '{joint.connection}': {error}") from error
+        pair = Connection(joint.connection, joint.first, joint.second)
+        raise ModelError(f"{joint_text(pair).removeprefix('the ')}: {error}") from error
     frame = JointFrame(on_tip, on_object, joint.free or ())
     return Joint(contacts, frame, joint.free_limits)
 
@@ -263,8 +266,9 @@ def _check_free(joint: JointSpec, data: Data, start: State) -> None:
     parts = space[list(joint.free or ())]
     if len(parts) != len(free) or np.linalg.matrix_rank(parts, 1e-6) < len(free):
         motions = ", ".join(COMPONENTS[k] for k in free) or "no motion"
+        text = joint_of(data.model, joint.connection)
         raise ModelError(
-            f"joint of arm '{joint.connection}': joint kind {joint.kind!r} says free = "
+            f"{text.removeprefix('the ')}: joint kind {joint.kind!r} says free = "
             f"{joint.free}, but its contacts leave {motions} free; correct it, or leave it out"
         )
 

@@ -163,7 +163,7 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
     arm = Arm(name, arm_files(spec, resolved), spec.color, inertia)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
-            f"arm '{name}': Pinocchio orders its joints {arm.joint_names}, the URDF's order is "
+            f"{arm.text}: Pinocchio orders its joints {arm.joint_names}, the URDF's order is "
             f"{resolved.joint_names}; give them names in order"
         )
     return arm

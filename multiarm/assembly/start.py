@@ -100,6 +100,8 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     moved, shift = layout.joint_rates(displacement), layout.twists(displacement)[0]
     faster = np.abs(start.velocity - written.velocity)
     of_object, at_limit = layout.twists(faster)[0], joints_at_limit(data)
+    joint_changes, base_shifts, base_turns = _changes(layout, displacement)
+    rate_changes, base_velocity_changes, base_spin_changes = _changes(layout, faster)
     before = dict(
         zip(data.model.joint_names, layout.joint_positions(written.position), strict=True)
     )
@@ -108,10 +110,10 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         gaps=gaps,
         gap_rates=rates,
         gaps_left=gaps_by_arm(data),
-        joint_change=float(np.max(moved)),
-        joint_changes={
-            arm: float(np.max(moved[layout.joints_of(i)])) for i, arm in enumerate(layout.names)
-        },
+        joint_change=max(joint_changes.values(), default=0.0),
+        joint_changes=joint_changes,
+        base_shifts=base_shifts,
+        base_turns=base_turns,
         object_held=held,
         object_shift=float(np.linalg.norm(shift[:3])),
         object_turn=float(np.linalg.norm(shift[3:])),
@@ -121,7 +123,9 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         velocity_change=float(np.max(faster)),
         object_velocity_change=float(np.linalg.norm(of_object[:3])),
         object_spin_change=float(np.linalg.norm(of_object[3:])),
-        joint_velocity_change=float(np.max(layout.joint_rates(faster))),
+        joint_velocity_change=max(rate_changes.values(), default=0.0),
+        base_velocity_changes=base_velocity_changes,
+        base_spin_changes=base_spin_changes,
         energy_lost=energy_lost,
     )
 
@@ -303,10 +307,9 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
         if turns is None or len(turns) > 1:
             continue
-        frame = data.model.frames[joint.connection]
+        frames = data.model.frames_on_bodies(joint.connection)
         first, second = data.model.bodies_of(joint.connection)
-        R_T = rotations[first] @ data.model.tip_of(joint.connection).rotation
-        R = (rotations[second] @ frame.on_object[:3, :3]).T @ R_T @ frame.on_tip[:3, :3]
+        R = (rotations[second] @ frames.on_object).T @ rotations[first] @ frames.on_link
         # the cosine of the turn between both frames, or between the axes about which they may turn
         cosine = R[turns[0], turns[0]] if turns else 0.5 * (np.trace(R) - 1.0)
         if cosine < 0.0:
@@ -329,6 +332,22 @@ def _limits(data: Data, written: State) -> tuple[np.ndarray, tuple[str, ...]]:
     out = (angles < limits[:, 0]) | (angles > limits[:, 1])
     limits[out] = -np.inf, np.inf
     return limits, tuple(np.array(data.model.joint_names)[out])
+
+
+def _changes(
+    layout: Layout, change: np.ndarray
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Sizes of a change like a velocity, by robot.
+
+    The largest entry of the joints, and of floating bases the norms of both parts of the twist.
+    """
+    joints = layout.split_joints(layout.joint_rates(change))
+    of_joints = {robot: float(np.max(np.abs(v))) for robot, v in joints.items() if v.size}
+    names = [layout.names[i] for i in layout.bases]
+    twists = dict(zip(names, layout.base_twists(change), strict=True))
+    linear = {robot: float(np.linalg.norm(twist[:3])) for robot, twist in twists.items()}
+    angular = {robot: float(np.linalg.norm(twist[3:])) for robot, twist in twists.items()}
+    return of_joints, linear, angular
 
 
 def _close_rates(data: Data, size: float) -> float:

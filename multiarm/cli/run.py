@@ -169,15 +169,16 @@ def run(
 def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     """Warnings about a run, also about a completed one."""
     from multiarm.assembly.start_warnings import start_warnings
+    from multiarm.dynamics.failures import owner_of
     from multiarm.results.limit_use import joint_uses, limit_warnings, peaks
 
     start, remarks = system.start_report, start_warnings(system)
     gap = max(start.gaps.values(), default=0.0)
     if gap > NOTABLE_GAP:
-        arm = max(start.gaps, key=lambda name: start.gaps[name])
+        owner = max(start.gaps, key=lambda name: start.gaps[name])
         remarks.append(
-            f"the written start was {number(gap, 'm')} off at arm '{arm}' and was assembled: "
-            + "; ".join(start.lines())
+            f"the written start was {number(gap, 'm')} off at {owner_of(system.model, owner)} and "
+            "was assembled: " + "; ".join(start.lines())
         )
     if trajectory.status == RunStatus.COMPLETED:
         remarks += trajectory.remarks

@@ -175,8 +175,7 @@ class PythonControl:
 
         def read(torques: object) -> np.ndarray:
             stacked = np.zeros(layout.joints)
-            views = layout.split_joints(stacked)
-            fill_by_arm(f"{self.who}'s torques", views, torques, ControlError)
+            fill_by_arm(f"{self.who}'s torques", layout, stacked, torques, ControlError)
             return stacked
 
         function = self.function if self.instance is None else self.instance()

@@ -11,7 +11,6 @@ import math
 import numpy as np
 
 from multiarm.arms.arm import ArmTip
-from multiarm.contacts.joint import FrameRow
 from multiarm.contacts.kernel import (
     LINE_CONTACT,
     ContactRow,
@@ -32,7 +31,7 @@ from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import is_tip_of_arm, require_ok
+from multiarm.dynamics.failures import is_tip_of_arm, owner_of, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
@@ -99,9 +98,9 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
         place = _locate(data, row, owner)
         if place is None:
             faults.append(
-                f"arm '{owner}': the two surfaces of '{contact.name}' have no common normal line, "
-                f"or touch along a line and not in a point; correct their placement, or use "
-                f"several contacts with spherical tips"
+                f"{owner_of(data.model, owner)}: the two surfaces of '{contact.name}' "
+                f"have no common normal line, or touch along a line and not in a point; correct "
+                f"their placement, or use several contacts with spherical tips"
             )
         else:
             places[codes.shape[row]] = place
@@ -111,9 +110,9 @@ def locate_pairs(data: Data, start: State) -> np.ndarray:
 
 
 def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] and normals into the object of all rows, world axes, shapes (N, 3).
+    """Points [m] and normals into the second bodies of all rows, world axes, shapes (N, 3).
 
-    Rows of all arms, then those of the surroundings: see ``Layout``.  Nothing is solved.
+    Rows of all owners: see ``Layout``.  Nothing is solved.
 
     Raises
     ------
@@ -126,7 +125,7 @@ def contact_places(data: Data, state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def points_and_normals(data: Evaluated, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Contact points [m] and normals into the object of some rows, world axes, shapes (k, 3).
+    """Contact points [m], normals into the second bodies, of some rows, world axes, (k, 3) each.
 
     At the kinematics in the data.
     """
@@ -272,8 +271,7 @@ def _reference_point(data: Evaluated, connection: str) -> np.ndarray:
     body = fields_of(BodyMotion, data.arrays.bodies.motion[data.model.bodies_of(connection)[1]])
     if data.model.connections[connection].on_object:
         return body.origin
-    frames = data.model.constants.joint_frames[data.model.layout.owners.index(connection)]
-    return body.origin + body.rotation @ fields_of(FrameRow, frames).origin_on_object
+    return body.origin + body.rotation @ data.model.frames_on_bodies(connection).origin_on_object
 
 
 def joint_wrenches(data: Evaluated, connection: str) -> np.ndarray:
@@ -284,9 +282,8 @@ def joint_wrenches(data: Evaluated, connection: str) -> np.ndarray:
     none, and are left out.
     """
     model = data.model
-    c = model.layout.owners.index(connection)
     body = fields_of(BodyMotion, data.arrays.bodies.motion[model.bodies_of(connection)[1]])
-    R = body.rotation @ fields_of(FrameRow, model.constants.joint_frames[c]).on_object
+    R = body.rotation @ model.frames_on_bodies(connection).on_object
     rows = wrenches_about(data, connection, joint_origin(data, connection))
     rows = rows[np.any(rows != 0.0, axis=1)]
     force, moment = rows[:, :3], rows[:, 3:]
@@ -308,10 +305,8 @@ def wrenches_about(data: Evaluated, connection: str, place: np.ndarray) -> np.nd
 
 def joint_origin(data: Evaluated, connection: str) -> np.ndarray:
     """Origin of a connection's frame on its first body, world axes, shape (3,) [m]."""
-    tip, (first, _) = data.model.tip_of(connection), data.model.bodies_of(connection)
-    link = fields_of(BodyMotion, data.arrays.bodies.motion[first])
-    at = tip.rotation @ data.model.frames[connection].on_tip[:3, 3] + tip.translation
-    return link.origin + link.rotation @ at
+    link = fields_of(BodyMotion, data.arrays.bodies.motion[data.model.bodies_of(connection)[0]])
+    return link.origin + link.rotation @ data.model.frames_on_bodies(connection).origin_on_link
 
 
 def free_components(data: Data, connection: str, start: State) -> tuple[int, ...]:
@@ -418,16 +413,14 @@ def _guesses(data: Data, connection: str, row: int, guiding: int) -> np.ndarray:
     """Points in the guiding body's frame around both surfaces, shape (g, 3)."""
     _, contact = data.model.owner(row)
     assert isinstance(contact, Contact), "two surfaces are a contact's"
-    frame, tip = data.model.frames[connection], data.model.tip_of(connection)
-    motion = data.arrays.bodies.motion
+    frames, motion = data.model.frames_on_bodies(connection), data.arrays.bodies.motion
     link, body, guide = (
         fields_of(BodyMotion, motion[k]) for k in (*data.model.bodies_of(connection), guiding)
     )
-    on_link = contact.moved_on_bodies((tip.rotation, tip.translation), None)
     centres = [
         body.origin + body.rotation @ contact.object.origin,
-        link.origin + link.rotation @ on_link.arm.origin,
-        body.origin + body.rotation @ frame.on_object[:3, 3],
+        link.origin + link.rotation @ contact.arm.origin,
+        body.origin + body.rotation @ frames.origin_on_object,
     ]
     sizes = [abs(s) for surface in (contact.arm, contact.object) for s in surface.sizes if s]
     reach = max([*sizes, 1e-3])

@@ -170,7 +170,8 @@ class Evaluation:
     contact_forces : mapping arm or connection -> ndarray, shape (N_i,)
         Magnitudes [N]; positive pushes the second body of the connection, that of an arm the
         object, along ``contact_normals``.  A robot whose joints have rows of their own, such as
-        couplings and stops, has these under its name.
+        couplings and stops, has these under its name; those of an arm, or of a finger with one
+        connection, follow the contacts of the connection.
     position_residual, velocity_residual : float
         Largest gap [m] and gap rate [m/s].
     residuals : Residuals

@@ -79,7 +79,7 @@ def arm_inertia_text(model: Model, robot: str) -> str:
     """Why the inertia matrix of a robot has no factors, and what to do."""
     arm = model.arms[robot]
     base = ""
-    if arm.files.base_joints:
+    if arm.files.base_joints or arm.files.base_floats:
         base = ", or give the base its own with `base: {mass: ..., inertia: ...}`"
     return (
         f"the inertia matrix of {owner_of(model, robot)} is not positive definite: a joint moves "
@@ -98,16 +98,20 @@ def owner_of(model: Model, name: str) -> str:
         return "the floor"
     if name in model.connections:
         noun = "arm" if is_tip_of_arm(model.connections[name]) else "connection"
-    else:
-        noun = "arm" if name in model.arms and "" in model.arms[name].tips else "robot"
-    return f"{noun} '{name}'"
+        return f"{noun} '{name}'"
+    return model.arms[name].text
 
 
 def joint_of(model: Model, connection: str) -> str:
     """The joint of a connection in words: ``the joint of arm 'left'``, ``joint 'cart/left'``."""
-    if is_tip_of_arm(model.connections[connection]):
-        return f"the joint of arm '{connection}'"
-    return f"joint '{connection}'"
+    return joint_text(model.connections[connection])
+
+
+def joint_text(pair: Connection) -> str:
+    """:func:`joint_of` for a connection."""
+    if is_tip_of_arm(pair):
+        return f"the joint of arm '{pair.name}'"
+    return f"joint '{pair.name}'"
 
 
 def _arm_that_failed(data: Data) -> str:

@@ -116,6 +116,8 @@ class Layout:
         Floating frames, without the bases of robots.
     bases : tuple of int
         Robots whose base floats: their first six joints are the base's displacement and twist.
+    noun : str
+        What the robots are called together: ``arms``, or ``robots`` where one names its tips.
     """
 
     names: tuple[str, ...]
@@ -126,25 +128,25 @@ class Layout:
     block_of: tuple[int, ...]
     frames: int = 1
     bases: tuple[int, ...] = ()
+    noun: str = "arms"
 
     def __str__(self) -> str:
         count, noun = len(self.names), self.noun
         robots = f"{noun} {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} {noun}"
-        joints = self.joints - TWIST * len(self.bases)
-        return f"{robots}; {count_of(joints, 'joint')}, {count_of(self.contacts, 'contact')}"
-
-    @property
-    def noun(self) -> str:
-        """What its robots are called together."""
-        # connections are named after tips, ``robot/tip``, where robots have several
-        return "robots" if any("/" in owner for owner in self.owners) else "arms"
+        joints, contacts = self.tree_joint_count, self.contacts
+        return f"{robots}; {count_of(joints, 'joint')}, {count_of(contacts, 'contact')}"
 
     # --- sizes ----------------------------------------------------------------------------------
 
     @property
     def joints(self) -> int:
-        """Number of joints of all robots, n."""
+        """Numbers of the joints of all robots, n: one a joint, and six a floating base."""
         return self.first_joint[-1]
+
+    @property
+    def tree_joint_count(self) -> int:
+        """Number of joints of all robots, without floating bases."""
+        return self.joints - TWIST * len(self.bases)
 
     @property
     def contacts(self) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 
 from multiarm.arms.arm import AT_REST, Arm, ArmTip
 from multiarm.arms.backends import ArmBackends
-from multiarm.contacts.joint import Joint, JointFrame
+from multiarm.contacts.joint import FrameRow, Joint, JointFrame
 from multiarm.contacts.table import (
     Code,
     ContactTable,
@@ -44,7 +44,6 @@ from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
 from multiarm.public import public_names
 from multiarm.scene import ResolvedRobot
-from multiarm.scene.values import SURROUNDINGS
 
 
 @dataclass(frozen=True)
@@ -134,9 +133,11 @@ class Model:
 
     @property
     def blocks(self) -> list[str]:
-        """The robot of each block by its name; ``floor`` for the surroundings."""
-        names = [*self.arm_names, SURROUNDINGS]
-        return [names[robot] for robot in self.layout.robot_of_block]
+        """The robot of each block by its name; for the surroundings the owners of their rows."""
+        layout, last = self.layout, self.layout.block_count - 1
+        around = ", ".join(layout.owners[c] for c in layout.owners_of_block(last))
+        names = [*self.arm_names, around]
+        return [names[robot] for robot in layout.robot_of_block]
 
     def owner(self, row: int) -> tuple[str, Record]:
         """Owner and record of a row of W."""
@@ -166,6 +167,14 @@ class Model:
         """The tip that is a connection's first body; a frame at rest where that is the world."""
         body = self.connections[connection].first
         return self.arms[body.robot].tips[body.tip] if body.robot else AT_REST
+
+    def frames_on_bodies(self, connection: str) -> FrameRow:
+        """A connection's frame on its first and its second body, in the frames of these bodies.
+
+        The frame of a link is that of the joint that moves it.
+        """
+        c = self.layout.owners.index(connection)
+        return fields_of(FrameRow, self.constants.joint_frames[c])
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""

@@ -24,11 +24,13 @@ BASE_PARTS = ("position", "quaternion_xyzw", "twist")
 class State:
     """Positions and velocities of object and robots.
 
+    With B floating bases, ``n`` counts the joints and six numbers a floating base.
+
     Attributes
     ----------
-    position : ndarray, shape (7 + n,)
-        The configuration: object's centre of mass [m], its quaternion (xyzw), joint positions
-        [rad or m].  Poses of floating bases follow that of the object.
+    position : ndarray, shape (7 + 7 B + n,)
+        The configuration: object's centre of mass [m], its quaternion (xyzw); the same of the
+        origins of floating bases; joint positions [rad or m], zero for the six of a floating base.
     velocity : ndarray, shape (6 + n,)
         Object's twist (world axes: velocity of the centre of mass, angular velocity), joint
         velocities.  The twist of a floating base stands before those of its robot's joints.
@@ -97,7 +99,8 @@ class State:
     def displaced(self, displacement: np.ndarray) -> State:
         """A copy moved by a shift [m] and a turn [rad] of the object and by joints, (6 + n,).
 
-        World axes; the velocities stay as they are.
+        Those of a floating base stand before its robot's joints.  World axes; the velocities stay
+        as they are.
 
         Raises
         ------
@@ -139,7 +142,7 @@ def require_same_joints(state: State, layout: Layout) -> None:
         raise ModelError(
             f"this state belongs to a system with {state.layout.noun} "
             f"{', '.join(state.layout.names)} "
-            f"({count_of(state.layout.joints, 'joint')}), not to this one; make it with "
+            f"({count_of(state.layout.tree_joint_count, 'joint')}), not to this one; make it with "
             "`system.state(...)`"
         )
 
@@ -200,19 +203,20 @@ def fill_bases(state: State, given: Any) -> None:
 
 def fill_by_arm(
     what: str,
-    views: Mapping[str, np.ndarray],
+    layout: Layout,
+    joints: np.ndarray,
     given: Any,
     error: type[MultiarmError] = ModelError,
 ) -> None:
-    """Write ``given``, a mapping arm -> numbers, into the ``views`` of some or all arms."""
+    """Write ``given``, a mapping arm or robot -> numbers, into a vector of all joints, (n,)."""
+    views, noun = layout.split_joints(joints), layout.noun.removesuffix("s")
     if not isinstance(given, Mapping):
         arm, values = next(iter(views.items()))
         raise error(
-            f"{what}: must be a dict with numbers by arm, such as {{{arm!r}: {values.size} "
+            f"{what}: must be a dict with numbers by {noun}, such as {{{arm!r}: {values.size} "
             f"numbers}}, got {shown(given)}"
         )
     for arm, values in given.items():
         if arm not in views:
-            noun = "robot" if "/" in str(arm) else "arm"  # a tip in place of its robot
             raise error(f"{what}: unknown {noun} {arm!r}; {noun}s are {', '.join(views)}")
         views[arm][:] = checked_vector(f"{what}[{arm!r}]", values, views[arm].size, error)

@@ -120,7 +120,10 @@ def require_function(control: Any) -> None:
 
 @dataclass(frozen=True)
 class StartReport:
-    """How the given start was corrected; all mappings are by arm."""
+    """How the given start was corrected.
+
+    Gaps are by arm or connection, changes by arm or robot; the joints are without floating bases.
+    """
 
     assembled: bool = True  # False: it was left as written
     gaps: dict[str, float] = field(default_factory=dict)  # largest gap of the given start [m]
@@ -128,6 +131,8 @@ class StartReport:
     gaps_left: dict[str, float] = field(default_factory=dict)  # of the assembled start [m]
     joint_change: float = 0.0  # largest change of a joint [rad, m]
     joint_changes: dict[str, float] = field(default_factory=dict)  # the same by arm
+    base_shifts: dict[str, float] = field(default_factory=dict)  # of floating bases [m]
+    base_turns: dict[str, float] = field(default_factory=dict)  # the same, rotations [rad]
     object_held: bool = True  # whether the arms closed the gaps without moving the object
     object_shift: float = 0.0  # displacement of the object [m]
     object_turn: float = 0.0  # rotation of the object [rad]
@@ -139,21 +144,33 @@ class StartReport:
     object_velocity_change: float = 0.0  # of the centre of mass [m/s]
     object_spin_change: float = 0.0  # of the angular velocity [rad/s]
     joint_velocity_change: float = 0.0  # largest change of a joint's velocity [rad/s, m/s]
+    # of floating bases, of the velocity of the origin [m/s] and of the angular velocity [rad/s]
+    base_velocity_changes: dict[str, float] = field(default_factory=dict)
+    base_spin_changes: dict[str, float] = field(default_factory=dict)
     energy_lost: float = 0.0  # decrease of the kinetic energy by the correction [J]
 
     def lines(self) -> list[str]:
         """The corrections, and joints at or outside limits, in words."""
         lines = []
-        if self.joint_change > 0.0 or not self.object_held:
+        moved = [self.joint_change, *self.base_shifts.values(), *self.base_turns.values()]
+        if max(moved) > 0.0 or not self.object_held:
             arms = ", ".join(f"{arm} {change:.3g}" for arm, change in self.joint_changes.items())
+            parts = [f"joints moved by up to {arms} (rad or m)"] if arms else []
+            for robot, shift in self.base_shifts.items():
+                turn = self.base_turns[robot]
+                parts.append(f"the base of {robot} moved by {shift:.3g} m and {turn:.3g} rad")
             body = "held"
             if not self.object_held:
                 body = f"moved by {self.object_shift:.3g} m and {self.object_turn:.3g} rad"
-            lines.append(f"joints moved by up to {arms} (rad or m), the object was {body}")
+            lines.append(", ".join([*parts, f"the object was {body}"]))
         if self.velocity_change > 0.0:
+            bases = "".join(
+                f"base of {robot} {change:.3g} m/s and {self.base_spin_changes[robot]:.3g} rad/s, "
+                for robot, change in self.base_velocity_changes.items()
+            )
             lines.append(
                 f"velocities changed: object {self.object_velocity_change:.3g} m/s and "
-                f"{self.object_spin_change:.3g} rad/s, joints up to "
+                f"{self.object_spin_change:.3g} rad/s, {bases}joints up to "
                 f"{self.joint_velocity_change:.3g} rad/s or m/s; {self.energy_lost:.3g} J were lost"
             )
         if self.at_limit:
@@ -333,8 +350,11 @@ class System:
             state.object_quaternion_xyzw[:] = quaternion
         if object_twist is not None:
             state.object_twist[:] = checked_vector("object_twist", object_twist, 6)
-        fill_by_arm("joint_positions", state.joint_positions, joint_positions or {})
-        fill_by_arm("joint_velocities", state.joint_velocities, joint_velocities or {})
+        layout = state.layout
+        positions = layout.joint_positions(state.position)
+        rates = layout.joint_rates(state.velocity)
+        fill_by_arm("joint_positions", layout, positions, joint_positions or {})
+        fill_by_arm("joint_velocities", layout, rates, joint_velocities or {})
         fill_bases(state, {} if bases is None else bases)
         return state
 

@@ -130,6 +130,6 @@ def _stacked(name: str, layout: Layout, loads: object) -> np.ndarray:
     forces[layout.of_frames] = checked_vector(
         f"{who}: object_wrench", loads.object_wrench, 6, ControlError
     )
-    views = layout.split_joints(layout.joint_rates(forces))
-    fill_by_arm(f"{who}: joint_torques", views, loads.joint_torques, ControlError)
+    torques = layout.joint_rates(forces)
+    fill_by_arm(f"{who}: joint_torques", layout, torques, loads.joint_torques, ControlError)
     return forces

@@ -103,7 +103,6 @@ class Stepper:
         self._layout, self._channels = system.model.layout, held.channels
         self._places: dict[str, dict[str, slice]] = {}  # quantity -> arm -> columns of samples
         self._torques = np.zeros(self._layout.joints)
-        self._by_arm = self._layout.split_joints(self._torques)
         self.reset()
 
     __dir__ = public_names
@@ -280,7 +279,7 @@ class Stepper:
                 run.clock.sample_control(math.inf if sampling is None else sampling.time)
             return
         self._torques[:] = 0.0
-        fill_by_arm("torques", self._by_arm, torques, ControlError)
+        fill_by_arm("torques", self._layout, self._torques, torques, ControlError)
         if run.clock.steps == 0:  # the start, and the first step, are those under these torques
             self._begin(self._task, self._torques)
             return

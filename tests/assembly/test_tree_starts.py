@@ -10,12 +10,23 @@ import copy
 import numpy as np
 import pytest
 from random_trees import FAMILIES, draw_trees
+from scipy.spatial.transform import Rotation
 from tree_models import TreeState, read_tree_scene, robot_tables
 from tree_oracle import Motions, collect, worst_gap
-from tree_scenes import cart_scene, coupled_hand, gripper_scene, together
+from tree_scenes import (
+    cart_scene,
+    coupled_hand,
+    floating_scene,
+    gripper_scene,
+    hinge_urdf,
+    link_urdf,
+    satellite_scene,
+    together,
+    two_finger_scene,
+)
 
 import multiarm as ma
-from multiarm.errors import SceneError
+from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.scene import parse_scene
 
 # Gaps are closed to 100 roundings of the scene's size, which is a few metres at most.
@@ -153,3 +164,114 @@ def test_a_coupling_that_cannot_be_closed_is_no_contradiction_of_contacts(tmp_pa
     with pytest.raises(SceneError, match=r"couplings of hand: 0\.3 rad") as error:
         ma.compile_system(parse_scene(together(scene)))
     assert "contradict" not in str(error.value)
+
+
+# --- what holds where a joint is closed ----------------------------------------------------------
+
+HALF_TURN = "3.141592653589793 0 0"
+
+
+@pytest.mark.parametrize("order", [["hand/thumb", "hand/end"], ["hand/end", "hand/thumb"]])
+def test_a_tip_that_is_turned_against_its_link_is_welded_the_right_way_round(order, tmp_path):
+    """Without ``at`` the joint is where the first tip is: both its frames coincide."""
+    joint = {"between": order, "kind": "weld"}
+    scene = two_finger_scene(tmp_path / "hand.urdf", "0 0 0.1", HALF_TURN, joint)
+    system = ma.compile_system(parse_scene(scene))
+    assert max(system.start_report.gaps.values()) < CLOSED
+
+
+@pytest.mark.parametrize("order", [["hand/thumb", "hand/end"], ["hand/end", "hand/thumb"]])
+def test_a_weld_between_links_that_is_upside_down_is_refused(order, tmp_path):
+    """At one place and half a turn apart, so that all distances of a weld vanish."""
+    at = {"at": {}, "at_first": {}}
+    joint = {"between": order, "kind": "weld", **at}
+    scene = two_finger_scene(tmp_path / "hand.urdf", "0 0 0", HALF_TURN, joint)
+    scene["robots"]["hand"]["posture"] = [0.2, 0.2]
+    with pytest.raises(SceneError, match=r"joint 'loop' the wrong way round.*by 180 degrees"):
+        ma.compile_system(parse_scene(scene))
+
+
+# --- floating bases ------------------------------------------------------------------------------
+
+
+def test_the_report_has_what_a_floating_base_moved_apart_from_the_joints():
+    scene = satellite_scene()
+    scene["object"]["pose"]["xyz"][0] += 0.01
+    scene["robots"]["sat"]["base"]["twist"] = [0.0] * 6
+    scene["object"]["twist"] = [0.1, 0.0, 0.0, 0.0, 0.2, 0.0]
+    parsed = parse_scene(scene)
+    system = ma.compile_system(parsed)
+    report, start = system.start_report, system.initial_state()
+    written = ma.compile_system(parsed, assemble=False).initial_state()
+    base, before = start.bases["sat"], written.bases["sat"]
+    turn = (
+        Rotation.from_quat(base.quaternion_xyzw) * Rotation.from_quat(before.quaternion_xyzw).inv()
+    )
+    twist = base.twist - before.twist
+    joints = np.abs(start.joint_positions["sat"] - written.joint_positions["sat"])
+    assert report.base_shifts["sat"] == pytest.approx(
+        np.linalg.norm(base.position - before.position), abs=CLOSED
+    )
+    assert report.base_turns["sat"] == pytest.approx(turn.magnitude(), abs=CLOSED)
+    assert report.joint_changes["sat"] == report.joint_change == pytest.approx(joints.max())
+    assert report.base_velocity_changes["sat"] == pytest.approx(np.linalg.norm(twist[:3]))
+    assert report.base_spin_changes["sat"] == pytest.approx(np.linalg.norm(twist[3:]))
+    rates = np.abs(start.joint_velocities["sat"] - written.joint_velocities["sat"])
+    assert report.joint_velocity_change == pytest.approx(rates.max())
+    assert min(report.base_shifts["sat"], report.base_turns["sat"]) > 1e-6
+    told = "; ".join(report.lines())
+    assert f"the base of sat moved by {report.base_shifts['sat']:.3g} m" in told
+    assert f"base of sat {report.base_velocity_changes['sat']:.3g} m/s" in told
+
+
+def test_a_base_without_joints_is_all_that_moves(tmp_path):
+    """Nothing is said of joints; limits of joints are those of none."""
+    scene = floating_scene(
+        tmp_path / "sat.urdf", link_urdf("root"), "root", [], effects={"joint_limits": {}}
+    )
+    scene["joints"][0] |= {"at": {"xyz": [0.0, 0.01, -1.0]}, "at_first": {}}
+    report = ma.compile_system(parse_scene(scene)).start_report
+    assert report.joint_change == 0.0 and not report.joint_changes
+    assert report.base_shifts["sat"] == pytest.approx(0.01, abs=CLOSED)
+    (line,) = report.lines()
+    assert line.startswith("the base of sat moved by 0.01 m and ")
+
+
+def test_a_floating_base_without_mass_can_get_its_own(tmp_path):
+    links = "<link name='root'/>" + link_urdf("arm") + hinge_urdf("arm")
+    scene = floating_scene(tmp_path / "sat.urdf", links, "arm", [0.1])
+    with pytest.raises(SolverError, match=r"robot 'sat'.*base: {mass: \.\.\., inertia: \.\.\.}"):
+        ma.compile_system(parse_scene(scene))
+    scene["robots"]["sat"]["base"] |= {"mass": 1.0, "inertia": [0.1, 0.1, 0.1]}
+    ma.compile_system(parse_scene(scene))
+
+
+# --- names ---------------------------------------------------------------------------------------
+
+
+def test_a_robot_is_no_arm_whatever_its_joints_are_called(tmp_path):
+    joint = {"between": ["hand/thumb", "hand/end"], "kind": "weld"}
+    scene = two_finger_scene(tmp_path / "hand.urdf", "0 0 0.1", HALF_TURN, joint)
+    system = ma.compile_system(parse_scene(scene))
+    assert "robots hand; 2 joints" in str(system.model.layout)
+    with pytest.raises(ModelError, match="unknown robot 'grip'; robots are hand"):
+        system.state(joint_positions={"grip": [0.0]})
+    with pytest.raises(ModelError, match="robot 'hand': no frame 'nail'"):
+        system.arms["hand"].link("nail")
+
+
+def test_a_state_of_another_system_is_told_by_its_joints_without_bases(tmp_path):
+    links = link_urdf("root") + link_urdf("arm") + hinge_urdf("arm")
+    with_joint = floating_scene(tmp_path / "one.urdf", links, "arm", [0.1])
+    without = floating_scene(tmp_path / "none.urdf", link_urdf("root"), "root", [])
+    state = ma.compile_system(parse_scene(with_joint)).initial_state()
+    with pytest.raises(ModelError, match=r"robots sat \(1 joint\)"):
+        ma.evaluate(ma.compile_system(parse_scene(without)), 0.0, state)
+
+
+def test_what_the_world_holds_is_no_floor():
+    scene = cart_scene()
+    at = copy.deepcopy(scene["object"]["pose"])
+    scene["joints"].append({"between": ["object", "world"], "kind": "planar", "at": at})
+    model = ma.compile_system(parse_scene(scene)).model
+    assert model.blocks == ["cart", "object-world"]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pinocchio
 import pytest
 from mechanics import ur5_pair
+from tree_scenes import two_finger_scene
 
 import multiarm as ma
-from multiarm.dynamics.contact_geometry import locate_pairs
+from multiarm.dynamics.contact_geometry import _guesses, locate_pairs
+from multiarm.scene import parse_scene
 
 RADIUS = 0.3  # [m]
 
@@ -69,3 +72,34 @@ def test_an_arm_that_fails_while_contacts_are_located_is_an_error(monkeypatch):
         failing.append("the arm")
         with pytest.raises(LookupError, match="the arm"):
             locate_pairs(data, system.initial_state())
+
+
+@pytest.mark.parametrize("order", [["hand/thumb", "hand/end"], ["hand/end", "hand/thumb"]])
+def test_contacts_of_two_links_are_sought_around_both_surfaces_and_the_joint(order, tmp_path):
+    """Also behind a fixed joint, by which a tip is turned and moved against the link."""
+    first_centre, second_centre = np.array([0.01, 0.02, 0.03]), np.array([-0.2, 0.1, 0.05])
+    arm = {"ellipsoid": {"semi_axes": [0.05, 0.04, 0.03], "center": first_centre.tolist()}}
+    body = {"ellipsoid": {"semi_axes": [0.02, 0.03, 0.02], "center": second_centre.tolist()}}
+    contacts = [{"arm": arm, "object": body}]
+    joint_origin = np.array([0.1, -0.2, 0.3])  # in the frame of the second tip, not turned
+    joint = {"between": order, "kind": "contacts", "contacts": contacts}
+    joint |= {"at": {"xyz": joint_origin.tolist()}, "at_first": {}}
+    path = tmp_path / "hand.urdf"
+    scene = two_finger_scene(path, "0.5 0.4 0.3", "0.4 0.5 2.6", joint)
+    system = ma.compile_system(parse_scene(scene), assemble=False)
+    model = pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    posture = system.initial_state().joint_positions["hand"]
+    q = [posture[system.arms["hand"].joint_names.index(name)] for name in model.names[1:]]
+    pinocchio.framesForwardKinematics(model, data, np.array(q))
+    first, second = (data.oMf[model.getFrameId(tip.split("/")[1])] for tip in order)
+    layout = system.model.layout
+    row = layout.contacts_of(layout.owners.index("loop")).start
+    with system.borrow() as arrays:
+        locate_pairs(arrays, system.initial_state())
+        points = _guesses(arrays, "loop", row, system.model.bodies_of("loop")[1])
+    # the guiding body is the second link: its frame is that of the joint that moves it
+    link = data.oMi[model.frames[model.getFrameId(order[1].split("/")[1])].parentJoint]
+    centres = [second * (joint_origin + second_centre), first * first_centre, second * joint_origin]
+    expected = [link.actInv(centre) for centre in centres]
+    np.testing.assert_allclose(points[:: len(points) // 3], expected, atol=1e-14)

@@ -84,7 +84,7 @@ def test_minimal_and_maximal_coordinates_agree(family, drawn):
     ("solver", "arms"), [("node", "pinocchio"), ("dense", "pinocchio"), ("node", "compiled")]
 )
 @pytest.mark.parametrize("family", ALL_FAMILIES)
-@pytest.mark.filterwarnings("ignore:arm '.*' stays with Pinocchio. its base floats")
+@pytest.mark.filterwarnings("ignore:robot '.*' stays with Pinocchio. its base floats")
 def test_evaluations_agree(family, solver, arms, drawn):
     for seed in range(4):
         scene, trees, state, torques = drawn(family, seed)

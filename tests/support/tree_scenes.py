@@ -276,3 +276,55 @@ def arm_joined_twice(**more: Any) -> dict[str, Any]:
         ],
         **more,
     }
+
+
+def link_urdf(name: str, mass: float = 1.0) -> str:
+    """A link with a centre of mass at its origin [kg]."""
+    moments = " ".join(f"{name}='{0.1 * mass}'" for name in ("ixx", "iyy", "izz"))
+    inertia = f"<inertia {moments} ixy='0' ixz='0' iyz='0'/>"
+    inertial = f"<mass value='{mass}'/>{inertia}"
+    return f"<link name='{name}'><inertial>{inertial}</inertial></link>"
+
+
+def hinge_urdf(child: str) -> str:
+    """A hinge about z that carries a link on the link ``root``."""
+    limit = "<limit lower='-2' upper='2' effort='9' velocity='9'/>"
+    return (
+        f"<joint name='{child}_hinge' type='revolute'><parent link='root'/><child link='{child}'/>"
+        f"<axis xyz='0 0 1'/>{limit}</joint>"
+    )
+
+
+def two_finger_scene(path: Path, xyz: str, rpy: str, joint: dict[str, Any]) -> dict[str, Any]:
+    """A hand whose thumb carries the object; behind its finger a fixed joint carries the tip.
+
+    ``joint`` is between thumb and tip; the URDF is written to ``path``.
+    """
+    fixed = f"<parent link='finger'/><child link='end'/><origin xyz='{xyz}' rpy='{rpy}'/>"
+    parts = [link_urdf(name) for name in ("root", "thumb", "finger")]
+    parts += ["<link name='end'/>", hinge_urdf("thumb"), hinge_urdf("finger")]
+    parts.append(f"<joint name='fixed' type='fixed'>{fixed}</joint>")
+    path.write_text(f"<robot name='hand'>{''.join(parts)}</robot>")
+    hand = {"urdf": str(path), "tips": {"thumb": "thumb", "end": "end"}, "posture": [0.2, -0.3]}
+    return {
+        "name": "two fingers",
+        "object": {"mass": 1.0, "inertia": [0.1, 0.1, 0.1], "pose": {"xyz": [0.0, 0.0, 1.0]}},
+        "robots": {"hand": hand},
+        "joints": [
+            {"between": ["hand/thumb", "object"], "kind": "weld", "name": "grip"},
+            {"name": "loop", **joint},
+        ],
+    }
+
+
+def floating_scene(path: Path, links: str, tip: str, posture: list[float], **more: Any):
+    """A robot that floats and holds the object with a link; the URDF is written to ``path``."""
+    path.write_text(f"<robot name='sat'>{links}</robot>")
+    robot = {"urdf": str(path), "base": {"moves": "free"}, "tips": {"tip": tip}, "posture": posture}
+    return {
+        "name": "floating",
+        "object": {"mass": 1.0, "inertia": [0.1, 0.1, 0.1], "pose": {"xyz": [0.0, 0.0, 1.0]}},
+        "robots": {"sat": robot},
+        "joints": [{"arm": "sat/tip", "kind": "weld"}],
+        **more,
+    }

@@ -262,7 +262,7 @@ def verify(
         joints = [joint for place, joint in links if place == places[k]]
         expected = _stacked(pinocchio_terms(arm, joints, q, v, tables.gravity))
         floors = {name: _floors(structure, expected, tables.gravity)[name] for name in quantities}
-        _compare(arm.name, _stacked(computed[k]), expected, floors)
+        _compare(arm, _stacked(computed[k]), expected, floors)
 
 
 def _structure(arm: Arm) -> ArmStructure:
@@ -320,7 +320,7 @@ def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[st
 
 
 def _compare(
-    arm: str, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
+    arm: Arm, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
 ) -> None:
     """Raise an error for the first quantity that differs, relative to its largest entry."""
     for name, floor in floors.items():
@@ -331,9 +331,9 @@ def _compare(
             size = _difference(value, reference, floor)
             if not size <= 1e-11:
                 raise ModelError(
-                    f"arm '{arm}': its compiled copy is not the arm: {_WORDS[name]} differs from "
-                    f"Pinocchio's by {size:.1e} of its largest entry, at most 1e-11 is "
-                    f"allowed; let Pinocchio compute the arms (`run: {{arms: pinocchio}}`)"
+                    f"{arm.text}: its compiled copy is not the {arm.noun}: {_WORDS[name]} "
+                    f"differs from Pinocchio's by {size:.1e} of its largest entry, at most 1e-11 "
+                    f"is allowed; let Pinocchio compute the arms (`run: {{arms: pinocchio}}`)"
                 )
 
 
