@@ -169,13 +169,17 @@ class Arm:
         self.position_limits = np.column_stack(
             [np.where(free, -np.inf, lower), np.where(free, np.inf, upper)]
         )
-        base = self.dof - len(self.joint_names)
-        self.effort_limits = _positive_or_infinite(self.model.effortLimit[base:])
-        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit[base:])
+        self.effort_limits = _positive_or_infinite(self.model.effortLimit[self.base_dof :])
+        self.velocity_limits = _positive_or_infinite(self.model.velocityLimit[self.base_dof :])
 
     def __repr__(self) -> str:
         tips = ", ".join(map(repr, self.files.tips.values()))
         return f"Arm({self.name!r}, {count_of(len(self.joint_names), 'joint')}, tip {tips})"
+
+    @property
+    def base_dof(self) -> int:
+        """How many velocities of a floating base stand before those of the joints."""
+        return self.dof - len(self.joint_names)
 
     @property
     def noun(self) -> str:

@@ -292,7 +292,7 @@ def _joint_laws(
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    of_bases = {name: arm.dof - len(arm.joint_names) for name, arm in robots.arms.items()}
+    of_bases = {name: arm.base_dof for name, arm in robots.arms.items()}
     return JointLaws(limits, of_joints, dry, of_bases)
 
 

@@ -205,7 +205,7 @@ def _bases(layout: Layout, backends: ArmBackends) -> Bases:
 
 def _circular(arms: Mapping[str, Arm]) -> np.ndarray:
     """``Constants.circular``."""
-    bases = {name: np.zeros(arm.dof - len(arm.joint_names)) for name, arm in arms.items()}
+    bases = {name: np.zeros(arm.base_dof) for name, arm in arms.items()}
     parts = [np.append(bases[name], arm.circular) for name, arm in arms.items()]
     return np.concatenate(parts).astype(np.int64)
 

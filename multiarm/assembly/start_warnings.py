@@ -103,12 +103,6 @@ def _joints_at_limits(system: System) -> list[str]:
     return warnings
 
 
-def _posture_of(system: System, robot: str) -> str:
-    """The place of a robot's posture in the scene."""
-    group = "arms" if robot in system.scene.arms else "robots"
-    return place((group, robot, "posture"))
-
-
 def _links_in_the_way(system: System) -> list[str]:
     postures = system.initial_state().joint_positions
     return [
