@@ -15,7 +15,6 @@ from multiarm.errors import MultiarmError
 
 if TYPE_CHECKING:
     from multiarm import grasp
-    from multiarm.arms.terms import TipKinematics
     from multiarm.assembly.compilation import compile_system
     from multiarm.control.user_control import Control
     from multiarm.dynamics.evaluation import Evaluation
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from multiarm.linear.linearisation import LinearSystem, linearise
     from multiarm.reports.report import report
     from multiarm.results.trajectory import Trajectory, load_trajectory
+    from multiarm.robots.terms import TipKinematics
     from multiarm.scene import (
         Joint,
         Scene,
@@ -71,7 +71,7 @@ _HOMES = {
     "Surface": "scene",
     "Sweep": "sweeps.result",
     "System": "dynamics.system",
-    "TipKinematics": "arms.terms",
+    "TipKinematics": "robots.terms",
     "Trajectory": "results.trajectory",
     "compile_system": "assembly.compilation",
     "derivatives": "events.derivatives",

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     WHOLE_STARTS,
@@ -23,6 +22,7 @@ from multiarm.assembly.inverse_kinematics import (
     points_on_links,
 )
 from multiarm.geometry.records import basis
+from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ObjectSpec, Scene
 
 # Postures at which the search begins: half a millisecond each.
@@ -37,7 +37,7 @@ class PostureSearch:
 
     Attributes
     ----------
-    arm : Arm
+    arm : Robot
     on_tip : ndarray, shape (4, 4)
         The joint's frame in the tip's.
     place : ndarray, shape (4, 4)
@@ -47,14 +47,14 @@ class PostureSearch:
     body : ObjectSpec
     """
 
-    arm: Arm
+    arm: Robot
     on_tip: np.ndarray
     place: np.ndarray
     free: tuple[int, ...]
     body: ObjectSpec
 
     @classmethod
-    def of_joint(cls, scene: Scene, joint: JointSpec, arm: Arm) -> PostureSearch:
+    def of_joint(cls, scene: Scene, joint: JointSpec, arm: Robot) -> PostureSearch:
         """The search that a joint of a scene asks for."""
         return cls(arm, *joint_places(scene, joint), tuple(joint.free or ()), scene.object)
 

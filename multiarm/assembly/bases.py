@@ -21,7 +21,6 @@ from itertools import islice
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.arm_postures import PostureSearch, clear_of, joint_places
 from multiarm.assembly.collisions import Surroundings, nearest
 from multiarm.assembly.inverse_kinematics import (
@@ -34,6 +33,7 @@ from multiarm.assembly.inverse_kinematics import (
 )
 from multiarm.assembly.postures import KEEPS_OFF, OVERLAP
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot
 from multiarm.scene import BaseSpec, JointSpec, ObjectSpec, Scene
 from multiarm.scene.faults import fault_at, listed
 
@@ -143,12 +143,12 @@ class StandSearch:
         return self.robot.search(places, self.rng, starts, clear, allowed)
 
 
-def moved_base(arm: Arm, base: np.ndarray) -> np.ndarray:
+def moved_base(arm: Robot, base: np.ndarray) -> np.ndarray:
     """Motion (4, 4), in the world, of an arm whose base comes to a pose (4, 4)."""
     return base @ np.linalg.inv(arm.files.base)
 
 
-def farthest(arm: Arm, rng: np.random.Generator) -> float:
+def farthest(arm: Robot, rng: np.random.Generator) -> float:
     """How far the tip gets from the base [m]."""
     limits = np.clip(arm.position_limits, -np.pi, np.pi)
     tips = [arm.tip_pose(rng.uniform(*limits.T))[:3, 3] for _ in range(400)]
@@ -159,19 +159,19 @@ def farthest(arm: Arm, rng: np.random.Generator) -> float:
 class Standing:
     """An arm on its base, at a posture (n,)."""
 
-    arm: Arm
+    arm: Robot
     posture: np.ndarray
 
 
 def find_bases(
-    scene: Scene, arms: Mapping[str, Arm], written: Mapping[str, Standing]
+    scene: Scene, arms: Mapping[str, Robot], written: Mapping[str, Standing]
 ) -> dict[str, BaseSpec]:
     """The bases that the scene leaves to the program.
 
     Parameters
     ----------
     scene : Scene
-    arms : mapping arm -> Arm
+    arms : mapping arm -> Robot
         Whose bases these are, on the written ones so far.
     written : mapping arm -> Standing
         Other arms, of which base and posture are written.
@@ -257,7 +257,7 @@ class _BaseSearch:
 
     Attributes
     ----------
-    arm : Arm
+    arm : Robot
     written : BaseSpec
     body : ObjectSpec
     on_tip, place : ndarray, shape (4, 4)
@@ -270,7 +270,7 @@ class _BaseSearch:
         Places of other arms.
     """
 
-    arm: Arm
+    arm: Robot
     written: BaseSpec
     body: ObjectSpec
     on_tip: np.ndarray
@@ -281,7 +281,7 @@ class _BaseSearch:
 
     @classmethod
     def of_joint(
-        cls, scene: Scene, joint: JointSpec, arm: Arm, bases: list[np.ndarray]
+        cls, scene: Scene, joint: JointSpec, arm: Robot, bases: list[np.ndarray]
     ) -> _BaseSearch:
         """The search that a joint of a scene asks for."""
         written, places = scene.arms[joint.arm].base, joint_places(scene, joint)
@@ -299,9 +299,9 @@ class _BaseSearch:
         """How far it must be from other bases [m]."""
         return BASES_APART * self.reach
 
-    def stand_on(self, base: BaseSpec) -> Arm:
+    def stand_on(self, base: BaseSpec) -> Robot:
         """The arm on a base."""
-        return Arm(self.arm.name, replace(self.arm.files, base=base.matrix()))
+        return Robot(self.arm.name, replace(self.arm.files, base=base.matrix()))
 
     def best(
         self, allowed: Callable[[np.ndarray, np.ndarray], bool] | None = None

@@ -29,9 +29,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.dynamics.connections import Connection
+from multiarm.robots.robot import Robot
 
 
 class Block(NamedTuple):
@@ -44,7 +44,7 @@ class Block(NamedTuple):
 
 
 def robot_blocks(
-    arm: Arm,
+    arm: Robot,
     connections: Sequence[Connection],
     of_joints: Iterable[JointRow | WheelRow],
     with_rows: Collection[int],
@@ -53,7 +53,7 @@ def robot_blocks(
 
     Parameters
     ----------
-    arm : Arm
+    arm : Robot
     connections : sequence of Connection
         Those in which the robot takes part, in any order.
     of_joints : iterable of JointRow or WheelRow
@@ -78,7 +78,7 @@ def robot_blocks(
 
 
 def branch_bounds(
-    arm: Arm, connections: Iterable[Connection], of_joints: Iterable[JointRow | WheelRow]
+    arm: Robot, connections: Iterable[Connection], of_joints: Iterable[JointRow | WheelRow]
 ) -> list[int]:
     """First joint of every part that shares no inertia and no row with others, and last n."""
     if arm.floats:  # its inertia joins everything
@@ -94,13 +94,13 @@ def branch_bounds(
     return np.flatnonzero(divides).tolist()
 
 
-def joints_of_connection(arm: Arm, connection: Connection) -> list[int]:
+def joints_of_connection(arm: Robot, connection: Connection) -> list[int]:
     """The robot's joints that move a body of a connection, counted from 0."""
     bodies = [body for body in (connection.first, connection.second) if body.robot == arm.name]
     return [int(joint) for body in bodies for joint in arm.tips[body.tip].chain]
 
 
-def _block(arm: Arm, joints: range, connections: Sequence[Connection], whole: bool) -> Block:
+def _block(arm: Robot, joints: range, connections: Sequence[Connection], whole: bool) -> Block:
     """The block of a range of joints; ``whole`` where it has all joints of its robot."""
     names = []
     for connection in connections:

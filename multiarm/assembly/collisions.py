@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial import ConvexHull, QhullError
 
-from multiarm.arms.arm import Arm
+from multiarm.robots.robot import Robot
 from multiarm.scene import ObjectSpec, Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.meshes import read_mesh
@@ -98,11 +98,11 @@ class Surroundings:
     Parameters
     ----------
     scene : Scene
-    arms : mapping arm -> Arm
+    arms : mapping arm -> Robot
         Those that are looked at.
     """
 
-    def __init__(self, scene: Scene, arms: Mapping[str, Arm]) -> None:
+    def __init__(self, scene: Scene, arms: Mapping[str, Robot]) -> None:
         self._arms = arms
         places: dict[str, dict[str, np.ndarray]] = {name: {} for name in arms}
         for joint in scene.joints:
@@ -234,7 +234,7 @@ def _hull(points: np.ndarray) -> Any:
     return coal.Convex(vertices, faces)
 
 
-def _hand(arm: Arm, tip: str, place: np.ndarray) -> set[int]:
+def _hand(arm: Robot, tip: str, place: np.ndarray) -> set[int]:
     """The joints, Pinocchio's numbers, of the hand that holds something at a place (3,) [m]."""
     end, levers = arm.tips[tip], arm.levers(place, tip)
     longest = np.max(levers[end.chain], initial=0.0)
@@ -242,7 +242,7 @@ def _hand(arm: Arm, tip: str, place: np.ndarray) -> set[int]:
 
 
 def _links(
-    arm: Arm, places: Mapping[str, np.ndarray]
+    arm: Robot, places: Mapping[str, np.ndarray]
 ) -> tuple[pin.GeometryModel, tuple[Solid, ...]]:
     """The shapes of a robot's links; ``places`` (3,) are where its tips hold something [m]."""
     geometry, noun = arm.collision_model(), "arm" if "" in arm.tips else "robot"

@@ -18,9 +18,6 @@ from functools import cached_property
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.chain import ChainJoint, require_chain
-from multiarm.arms.terms import POSE_WIDTH, ArmStructure, LinkPose
 from multiarm.assembly.kinematic_tree import (
     MARGIN,
     Coupling,
@@ -39,6 +36,9 @@ from multiarm.assembly.reaching import (
     write_poses,
 )
 from multiarm.jit.rows import fields_of
+from multiarm.robots.chain import ChainJoint, require_chain
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import POSE_WIDTH, ArmStructure, LinkPose
 from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
@@ -300,7 +300,7 @@ class InverseKinematics(TreeKinematics):
 
     Parameters
     ----------
-    arm : Arm
+    arm : Robot
     free : sequence of int
         Components of the pose that do not count, in the axes of the wanted frame: 0 to 2 are shifts
         along, 3 to 5 turns about x, y, z.
@@ -319,7 +319,7 @@ class InverseKinematics(TreeKinematics):
 
     def __init__(
         self,
-        arm: Arm,
+        arm: Robot,
         free: Sequence[int] = (),
         frame: np.ndarray | None = None,
         to_limits: bool = False,

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.blocks import Block, branch_bounds, joints_of_connection, robot_blocks
 from multiarm.assembly.contact_effects import (
     JointLaws,
@@ -33,6 +32,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
+from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
 
@@ -237,7 +237,7 @@ def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
     return ordered | {pair.name: pair for pair in of_joints if not pair.robot}
 
 
-def _first_joint(arm: Arm, connection: Connection) -> int:
+def _first_joint(arm: Robot, connection: Connection) -> int:
     """A joint of the robot that moves a body of a connection; its first where none does."""
     return next(iter(joints_of_connection(arm, connection)), 0)
 

@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
-from multiarm.arms.terms import ArmStructure
 from multiarm.assembly.reaching import Tree
 from multiarm.jit.rows import fields_of
+from multiarm.robots.chain import ChainJoint, chain_joints, joints_at_rest
+from multiarm.robots.terms import ArmStructure
 
 # Joints without limits are sought within a turn either way, all others this far inside them [rad].
 TURN, MARGIN = math.pi, 0.05

@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
@@ -44,6 +42,8 @@ from multiarm.integration.projection import project_state
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.integration.step import watch_stage
 from multiarm.jit.rows import as_row, width
+from multiarm.robots.backends import Backends
+from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
 from multiarm.scene.values import SURROUNDINGS
 
@@ -74,7 +74,7 @@ def uncontrolled_model(
     robots: Robots,
     joints: Mapping[str, Joint],
     rows: Rows,
-    backends: ArmBackends,
+    backends: Backends,
 ) -> Model:
     """The model of a scene without its control.
 
@@ -147,7 +147,7 @@ def with_control(model: Model, control: ControlProgram) -> Model:
 
 
 def _levers(
-    arms: Mapping[str, Arm],
+    arms: Mapping[str, Robot],
     connections: Mapping[str, Connection],
     frames: Mapping[str, JointFrame],
     layout: Layout,
@@ -172,7 +172,7 @@ def _constants(
     frames: Mapping[str, JointFrame],
     rows: Rows,
     effects: EffectProgram,
-    backends: ArmBackends,
+    backends: Backends,
 ) -> Constants:
     return Constants(
         q_slots=backends.q_slots,
@@ -196,14 +196,14 @@ def _constants(
     )
 
 
-def _bases(layout: Layout, backends: ArmBackends) -> Bases:
+def _bases(layout: Layout, backends: Backends) -> Bases:
     """``Constants.bases``."""
     blocks = [layout.blocks_of(i)[0] for i in layout.bases]
     robots = np.array(layout.bases, dtype=np.int64)
     return Bases(robots, np.array(blocks, dtype=np.int64), backends.base_slots)
 
 
-def _circular(arms: Mapping[str, Arm]) -> np.ndarray:
+def _circular(arms: Mapping[str, Robot]) -> np.ndarray:
     """``Constants.circular``."""
     bases = {name: np.zeros(arm.base_dof) for name, arm in arms.items()}
     parts = [np.append(bases[name], arm.circular) for name, arm in arms.items()]

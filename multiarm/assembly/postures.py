@@ -18,11 +18,11 @@ from typing import Protocol
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.arm_postures import PostureSearch, joint_places
 from multiarm.assembly.collisions import NearestPair, Placed, Surroundings
 from multiarm.assembly.robot_postures import RobotPostureSearch
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene
 from multiarm.scene.bodies import OBJECT
 from multiarm.scene.faults import Parts, fault_at
@@ -47,14 +47,14 @@ class Search(Protocol):
 
 
 def find_postures(
-    scene: Scene, arms: Mapping[str, Arm], resolved: Mapping[str, ResolvedRobot]
+    scene: Scene, arms: Mapping[str, Robot], resolved: Mapping[str, ResolvedRobot]
 ) -> dict[str, np.ndarray]:
     """Positions [rad, m] of the joints that the scene leaves to the program, by robot.
 
     Parameters
     ----------
     scene : Scene
-    arms : mapping robot -> Arm
+    arms : mapping robot -> Robot
     resolved : mapping robot -> ResolvedRobot
         With the postures as the scene has them.
 
@@ -119,7 +119,7 @@ def _joints_of(scene: Scene, name: str) -> dict[int, JointSpec]:
 
 
 def _search_of(
-    scene: Scene, joints: list[JointSpec], arm: Arm, resolved: ResolvedRobot
+    scene: Scene, joints: list[JointSpec], arm: Robot, resolved: ResolvedRobot
 ) -> Search | None:
     """The search for the posture of a robot with joints that have places.
 
@@ -138,7 +138,7 @@ def _search_of(
 
 def _out_of_the_way(
     scene: Scene,
-    arms: Mapping[str, Arm],
+    arms: Mapping[str, Robot],
     searches: Mapping[str, Search],
     postures: dict[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
@@ -168,7 +168,7 @@ def _keeps_off(distance: Callable[[np.ndarray], float], posture: np.ndarray) -> 
 
 
 def overlapping_links(
-    scene: Scene, arms: Mapping[str, Arm], postures: Mapping[str, np.ndarray]
+    scene: Scene, arms: Mapping[str, Robot], postures: Mapping[str, np.ndarray]
 ) -> dict[str, NearestPair]:
     """Of robots whose posture is left to the program, the link that overlaps an obstacle most."""
     left_open = [name for name in arms if posture_of(scene, name)[1] in (None, SOLVE)]
@@ -182,7 +182,7 @@ def overlapping_links(
     return overlaps
 
 
-def _is_far(scene: Scene, joint: JointSpec, arm: Arm, posture: np.ndarray) -> bool:
+def _is_far(scene: Scene, joint: JointSpec, arm: Robot, posture: np.ndarray) -> bool:
     """Whether a posture leaves a gap in the joint that no assembly would close."""
     if joint.as_listed:  # its contacts may be anywhere
         return False

@@ -32,13 +32,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import (
-    ChainJoint,
-    column_of,
-    frame_after,
-    next_frame,
-)
-from multiarm.arms.terms import POSE_WIDTH, open_pose
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.jit.kernels import (
     INT,
@@ -55,6 +48,13 @@ from multiarm.jit.kernels import (
 )
 from multiarm.jit.rows import Pair, row_of, width
 from multiarm.jit.vectors import AXES, ZERO, add_cross, compose, rotation_vector, sub
+from multiarm.robots.chain import (
+    ChainJoint,
+    column_of,
+    frame_after,
+    next_frame,
+)
+from multiarm.robots.terms import POSE_WIDTH, open_pose
 
 # Frames coincide when shift, in lengths of the search, and turn [rad] are off by less.
 REACHED = 1e-8
@@ -68,7 +68,7 @@ class Tree(NamedTuple):
     """A robot's joints, and the frames that its connections bring together.
 
     joints : (n + F, 34)
-        Rows of :class:`multiarm.arms.chain.ChainJoint`: of the joints, parents first, then of the
+        Rows of :class:`multiarm.robots.chain.ChainJoint`: of the joints, parents first, then of the
         frames, as joints at rest on their links or in the world.
     parents : int (n + F,)
         Number of the joint that carries each of them, -1 for the world.
@@ -114,7 +114,7 @@ class Trial(NamedTuple):
     """Arrays for the error of a posture.
 
     poses : (n + F, 12)
-        Rows of :class:`multiarm.arms.terms.LinkPose`: of the joints and the frames.
+        Rows of :class:`multiarm.robots.terms.LinkPose`: of the joints and the frames.
     columns : (n, 6)
         Rows of :class:`Column`.
     J : (6, d)

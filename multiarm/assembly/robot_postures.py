@@ -20,8 +20,6 @@ from itertools import combinations
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.terms import ArmStructure
 from multiarm.assembly.arm_postures import NO_TURN, STARTS, apart_from, best_posture
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
@@ -34,6 +32,8 @@ from multiarm.assembly.inverse_kinematics import (
 from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target, way_to
 from multiarm.assembly.reaching import REACHED
 from multiarm.geometry.records import basis
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import ArmStructure
 from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.faults import counted, shown
@@ -78,7 +78,7 @@ class RobotPostureSearch:
 
     @classmethod
     def of_robot(
-        cls, scene: Scene, joints: Sequence[JointSpec], arm: Arm, resolved: ResolvedRobot
+        cls, scene: Scene, joints: Sequence[JointSpec], arm: Robot, resolved: ResolvedRobot
     ) -> RobotPostureSearch:
         """The search that joints of a robot ask for, all of which have a place."""
         number = {name: k for k, name in enumerate(arm.joint_names)}
@@ -224,7 +224,7 @@ class RobotPostureSearch:
         return clear
 
 
-def target_of(scene: Scene, joint: JointSpec, arm: Arm) -> Target:
+def target_of(scene: Scene, joint: JointSpec, arm: Robot) -> Target:
     """The two frames that a joint of a robot brings together, z the joint's axis."""
     assert joint.at is not None, "the joint has a place"
     turn = np.eye(4)
@@ -240,7 +240,7 @@ def target_of(scene: Scene, joint: JointSpec, arm: Arm) -> Target:
     return Target(first, second, tuple(joint.free or ()))
 
 
-def _link_frame(arm: Arm, body: BodyName, pose: np.ndarray) -> LinkFrame:
+def _link_frame(arm: Robot, body: BodyName, pose: np.ndarray) -> LinkFrame:
     if not body.is_link:  # it is at rest
         return LinkFrame(-1, pose)
     tip, frame = arm.tips[body.tip], np.eye(4)

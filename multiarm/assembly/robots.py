@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.backends import ArmBackends
 from multiarm.assembly.bases import Standing, find_bases
 from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.geometry.records import Placement
+from multiarm.robots.backends import Backends
+from multiarm.robots.robot import Robot, RobotFiles
 from multiarm.scene import (
     ArmSpec,
     ResolvedRobot,
@@ -34,7 +34,7 @@ class Robots:
     """The arms of a scene."""
 
     resolved: dict[str, ResolvedRobot]
-    arms: dict[str, Arm]
+    arms: dict[str, Robot]
     postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
     shared: tuple[str, ...]  # arms that another system has too
 
@@ -118,7 +118,7 @@ def _resolved(scene: Scene, name: str) -> ResolvedRobot:
     return resolve_arm(locked, scene.folder)
 
 
-def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> ArmBackends:
+def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Backends:
     """Backends of the arm dynamics; shared where ``like`` has equal arms."""
     gravity, with_torque = gravity_of(scene), needs_gravity_torque(scene)
     names = [*scene.arms, *scene.robots]
@@ -128,13 +128,13 @@ def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Ar
         same_terms = with_torque == needs_gravity_torque(like.scene)
         if same_gravity and same_backends and same_terms:
             return like.model.backends
-    return ArmBackends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
+    return Backends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
 
 
-def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> ArmFiles:
+def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> RobotFiles:
     """Files and frames of an arm or a robot of a scene."""
     tool = spec.tool if isinstance(spec, ArmSpec) else None
-    return ArmFiles(
+    return RobotFiles(
         urdf=resolved.urdf,
         package_dirs=resolved.package_dirs,
         base=spec.base.matrix(),
@@ -152,7 +152,7 @@ def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> ArmFiles:
     )
 
 
-def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
+def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Robot:
     spec = scene.robots[name] if name in scene.robots else scene.arms[name]
     rotors = scene.effects.rotor_inertia
     inertia = None
@@ -160,7 +160,7 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Arm:
         from multiarm.effects.rotor_inertia import of_arm
 
         inertia = of_arm(rotors, name, resolved.joint_names)
-    arm = Arm(name, arm_files(spec, resolved), spec.color, inertia)
+    arm = Robot(name, arm_files(spec, resolved), spec.color, inertia)
     if arm.joint_names != resolved.joint_names:
         raise ModelError(
             f"{arm.text}: Pinocchio orders its joints {arm.joint_names}, the URDF's order is "

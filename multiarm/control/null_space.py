@@ -26,7 +26,6 @@ import math
 
 import numpy as np
 
-from multiarm.arms.terms import open_addresses
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import JOINT, open_code
@@ -47,6 +46,7 @@ from multiarm.jit.vectors import (
     sub,
     vec,
 )
+from multiarm.robots.terms import open_addresses
 
 
 @allocating

@@ -28,13 +28,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.arms.derivatives import (
-    open_displacement,
-    subtract_load,
-    subtract_torques,
-    write_inverse_dynamics,
-    write_motions,
-)
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import motion_relative_to, open_body
 from multiarm.control.null_space import count_held, holds_pose
@@ -70,6 +63,13 @@ from multiarm.jit.vectors import (
     scale,
     sub,
     vec,
+)
+from multiarm.robots.derivatives import (
+    open_displacement,
+    subtract_load,
+    subtract_torques,
+    write_inverse_dynamics,
+    write_motions,
 )
 from multiarm.spatial import write_chart_rate
 

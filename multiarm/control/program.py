@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import COUPLED
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.control_laws import ControlLaw
@@ -16,6 +15,7 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.held_control import Sampling
 from multiarm.dynamics.model import ControlSpan
 from multiarm.dynamics.state import State
+from multiarm.robots.robot import Robot
 from multiarm.scene import Scene, gain_vector
 
 
@@ -46,7 +46,7 @@ class ControlContext:
     joint_path: Callable[..., JointPath]
 
     @property
-    def arms(self) -> dict[str, Arm]:
+    def arms(self) -> dict[str, Robot]:
         """The arms by name, in the order of the stacked vectors."""
         return self.data.model.arms
 

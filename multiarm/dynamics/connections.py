@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import AT_REST, Arm, ArmTip
 from multiarm.dynamics.layout import Layout
 from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
+from multiarm.robots.robot import AT_REST, Robot, Tip
 from multiarm.scene.bodies import OBJECT, WORLD, BodyName
 from multiarm.scene.values import SURROUNDINGS
 
@@ -69,14 +69,14 @@ class BodyTable:
 
     Parameters
     ----------
-    arms : mapping of str to Arm
+    arms : mapping of str to Robot
     links : sequence of (int, int)
-        See ``ArmBackends.links``.
+        See ``Backends.links``.
     layout : Layout
     """
 
     def __init__(
-        self, arms: Mapping[str, Arm], links: Sequence[tuple[int, int]], layout: Layout
+        self, arms: Mapping[str, Robot], links: Sequence[tuple[int, int]], layout: Layout
     ) -> None:
         self.arms, self._robots, self._links = arms, list(arms), list(links)
         self._layout = layout
@@ -93,7 +93,7 @@ class BodyTable:
             return self._links.index((self._robots.index(body.robot), joint))
         return len(self._links) + (0 if body == OBJECT else 1)
 
-    def tip(self, body: BodyName) -> ArmTip:
+    def tip(self, body: BodyName) -> Tip:
         """The tip of a link; a frame at rest for another body."""
         return self.arms[body.robot].tips[body.tip] if body.is_link else AT_REST
 

@@ -34,7 +34,6 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.motion import BODY_WIDTH, motion_relative_to, open_body
 from multiarm.contacts.table import ON_PLANE, is_of_joints, open_code, open_geometry
@@ -57,6 +56,7 @@ from multiarm.jit.vectors import (
     sub,
     vec,
 )
+from multiarm.robots.derivatives import DISPLACEMENT_WIDTH, Displacement, open_displacement
 
 # Displacement of a difference [m, rad]: a hundredth of the smallest radius that a finger has.
 STEP = 1e-4

@@ -10,7 +10,6 @@ import math
 
 import numpy as np
 
-from multiarm.arms.arm import ArmTip
 from multiarm.contacts.kernel import (
     LINE_CONTACT,
     ContactRow,
@@ -48,6 +47,7 @@ from multiarm.geometry.screws import first_largest
 from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
 from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
+from multiarm.robots.robot import Tip
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.values import SURROUNDINGS
 from multiarm.spatial import quaternion_to_matrix
@@ -434,7 +434,7 @@ def _guesses(data: Data, connection: str, row: int, guiding: int) -> np.ndarray:
     return (world - guide.origin) @ guide.rotation
 
 
-def _tip_kinematics(tip: ArmTip, link: np.ndarray) -> np.ndarray:
+def _tip_kinematics(tip: Tip, link: np.ndarray) -> np.ndarray:
     """Kinematics of a tip's frame from those of the link it is fixed to, a row of 24."""
     motion = fields_of(BodyMotion, link)
     offset, omega, alpha = motion.rotation @ tip.translation, motion.spin, motion.spin_rate

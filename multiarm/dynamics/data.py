@@ -15,8 +15,6 @@ from weakref import WeakSet
 
 import numpy as np
 
-from multiarm.arms.backends import Ground
-from multiarm.arms.terms import Coriolis, MatrixAddress, matrix_of_block, terms_of_block
 from multiarm.contacts.kernel import ContactRow
 from multiarm.contacts.surfaces import user_surface_callback
 from multiarm.dynamics.arrays import FUNCTIONS, STATUS, Constants, system_struct
@@ -49,6 +47,8 @@ from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
 from multiarm.jit.rows import fields_of, width
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
+from multiarm.robots.backends import Ground
+from multiarm.robots.terms import Coriolis, MatrixAddress, matrix_of_block, terms_of_block
 
 
 class Evaluated(Protocol):
@@ -147,7 +147,7 @@ class SharedData:
         setattr(self.arrays.functions, name, callback.address)
 
     def coriolis(self, layout: Layout) -> tuple[Coriolis, GuardedCall | None]:
-        """See :meth:`multiarm.arms.backends.ArmBackends.coriolis`; the matrices are of blocks."""
+        """See :meth:`multiarm.robots.backends.Backends.coriolis`; the matrices are of blocks."""
         coriolis, call = self._backends.coriolis(self.arrays.status)
         nowhere = np.zeros(width(MatrixAddress), dtype=np.int64)
         robots = [*coriolis.matrices, nowhere]

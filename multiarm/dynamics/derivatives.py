@@ -20,7 +20,7 @@ evaluation itself.  Each arm is solved on its own, and then the object:
 The right-hand sides at fixed y come from
 
 * the inverse dynamics of each arm under the wrench of its contacts, and the motion of the link that
-  carries the tip (:mod:`multiarm.arms.derivatives`);
+  carries the tip (:mod:`multiarm.robots.derivatives`);
 * the contact rows, as functions of the link's motion seen from the object
   (:mod:`multiarm.dynamics.contact_derivatives`).
 

@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.dynamics.contact_geometry import (
     joint_origin,
     joint_wrenches,
@@ -37,6 +36,7 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
+from multiarm.robots.robot import Robot
 from multiarm.scene.faults import counted
 
 # Motion along a direction, relative to that along the arm's best one, that counts as little ...
@@ -299,7 +299,7 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
     )
 
 
-def _axes(arm: Arm, tip: str, angles: np.ndarray) -> list[_Axis]:
+def _axes(arm: Robot, tip: str, angles: np.ndarray) -> list[_Axis]:
     """Axes of the joints between the base and a tip, from its Jacobian.
 
     A turn about ``a`` through ``o`` moves the tip by ``a x (tip - o)``.

@@ -24,20 +24,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.chain import ChainJoint
-from multiarm.arms.derivatives import (
-    DISPLACEMENT_WIDTH,
-    LINK_WIDTH,
-    ArmLinks,
-    arm_links,
-    subtract_load,
-    subtract_torques,
-    write_inverse_dynamics,
-    write_link,
-    write_motions,
-)
-from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.kernel import CONTACT_WIDTH
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion, open_body
 from multiarm.contacts.table import JOINT, WHEELS, open_code, open_joint, rolls
@@ -75,6 +61,20 @@ from multiarm.jit.kernels import (
 from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, struct_of, view
 from multiarm.jit.vectors import AXES, ZERO, add_cross, cross, rotate, sub, times, vec
+from multiarm.robots.chain import ChainJoint
+from multiarm.robots.derivatives import (
+    DISPLACEMENT_WIDTH,
+    LINK_WIDTH,
+    ArmLinks,
+    arm_links,
+    subtract_load,
+    subtract_torques,
+    write_inverse_dynamics,
+    write_link,
+    write_motions,
+)
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import ArmStructure
 
 
 class EquationWork(NamedTuple):
@@ -169,7 +169,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     return work
 
 
-def structures_of_blocks(arms: Iterable[Arm], layout: Layout) -> list[ArmStructure]:
+def structures_of_blocks(arms: Iterable[Robot], layout: Layout) -> list[ArmStructure]:
     """Structure of the joints of each block of the robots."""
     of_robots = [arm.structure() for arm in arms]
     places, counts = layout.places_of_blocks, layout.joint_counts

@@ -22,8 +22,6 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.compiled.tables import energy_of_arms
-from multiarm.arms.terms import open_addresses
 from multiarm.contacts.kernel import open_contact, write_row
 from multiarm.contacts.table import is_in_closed_form, open_code
 from multiarm.dynamics.arrays import (
@@ -54,6 +52,8 @@ from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OBJECT_INERTIA
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import floats_at, referenced, struct_at
+from multiarm.robots.compiled.tables import energy_of_arms
+from multiarm.robots.terms import open_addresses
 
 
 @kernel

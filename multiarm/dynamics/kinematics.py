@@ -12,13 +12,6 @@ import math
 
 import numpy as np
 
-from multiarm.arms.terms import (
-    POSE_WIDTH,
-    TermAddresses,
-    open_addresses,
-    open_link_addresses,
-    open_pose,
-)
 from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
@@ -39,6 +32,13 @@ from multiarm.jit.vectors import (
     sub,
     times,
     vec,
+)
+from multiarm.robots.terms import (
+    POSE_WIDTH,
+    TermAddresses,
+    open_addresses,
+    open_link_addresses,
+    open_pose,
 )
 from multiarm.spatial import rotation_of, write_matrix
 

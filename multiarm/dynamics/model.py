@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import AT_REST, Arm, ArmTip
-from multiarm.arms.backends import ArmBackends
 from multiarm.contacts.joint import FrameRow, Joint, JointFrame
 from multiarm.contacts.table import (
     Code,
@@ -43,6 +41,8 @@ from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
 from multiarm.public import public_names
+from multiarm.robots.backends import Backends
+from multiarm.robots.robot import AT_REST, Robot, Tip
 from multiarm.scene import ResolvedRobot
 
 
@@ -60,11 +60,11 @@ class ControlSpan:
 class Model:
     """Constants of a compiled scene."""
 
-    arms: dict[str, Arm]  # the robots
+    arms: dict[str, Robot]  # the robots
     robots: dict[str, ResolvedRobot]  # their files and starts
     connections: dict[str, Connection]  # of bodies, by name: the joints of the scene
     joints: dict[str, Joint]  # of the connections
-    backends: ArmBackends  # they compute the terms of the arms; every Data takes a copy
+    backends: Backends  # they compute the terms of the arms; every Data takes a copy
     layout: Layout
     # of each owner of rows but the surroundings; the first body's geometry in its tip frame
     contacts: dict[str, list[Contact]]
@@ -163,7 +163,7 @@ class Model:
         c, pairs = self.layout.owners.index(connection), self.constants.connections
         return int(pairs.first[c]), int(pairs.second[c])
 
-    def tip_of(self, connection: str) -> ArmTip:
+    def tip_of(self, connection: str) -> Tip:
         """The tip that is a connection's first body; a frame at rest where that is the world."""
         body = self.connections[connection].first
         return self.arms[body.robot].tips[body.tip] if body.robot else AT_REST

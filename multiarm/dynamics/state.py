@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.base_motion import BaseMotion
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ModelError, MultiarmError
 from multiarm.notation import count_of
 from multiarm.public import public_names
+from multiarm.robots.base_motion import BaseMotion
 from multiarm.scene.faults import shown
 
 BASE_PARTS = ("position", "quaternion_xyzw", "twist")

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.contacts.joint import COMPONENTS, UNITS, JointFrame
 from multiarm.dynamics.callbacks import ControlFunction, PythonControl
 from multiarm.dynamics.data import Data
@@ -35,6 +34,7 @@ from multiarm.geometry.records import Contact
 from multiarm.notation import count_of
 from multiarm.public import facts_html, public_names
 from multiarm.results.channels import Channel, RowOwner, trajectory_channels
+from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
 from multiarm.scene.values import is_finite
@@ -246,7 +246,7 @@ class System:
         self._free_data.append(data)
 
     @property
-    def arms(self) -> dict[str, Arm]:
+    def arms(self) -> dict[str, Robot]:
         """The arms by their names, in the order of the stacked vectors."""
         return self.model.arms
 

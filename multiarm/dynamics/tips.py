@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.terms import TipKinematics
 from multiarm.dynamics.layout import NAMED_ARMS
 from multiarm.dynamics.state import State
 from multiarm.errors import ModelError
 from multiarm.public import public_names
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import TipKinematics
 from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import counted
 
@@ -51,7 +51,7 @@ class Kinematics:
         return f"Kinematics(tips of {counted(list(self.tips), NAMED_ARMS)})"
 
 
-def kinematics_of(arms: Iterable[Arm], state: State) -> Kinematics:
+def kinematics_of(arms: Iterable[Robot], state: State) -> Kinematics:
     """The tips of some arms and robots at a state."""
     tips, positions, velocities = _Tips(), state.joint_positions, state.joint_velocities
     for arm in arms:

@@ -74,7 +74,7 @@ class StateVectors(NamedTuple):
 class BodyVariables(NamedTuple):
     """Motion and inertia of the bodies, of ``n`` blocks and L links that carry tips."""
 
-    pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.arms.terms
+    pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.robots.terms
     link_pointers: Ints2  # (L, 3) addresses of the motion of each link
     pinocchio_configuration: Floats1
     # (joints,) velocities as Pinocchio has them: of floating bases the angular one in base axes
@@ -237,7 +237,7 @@ class JointMotion(NamedTuple):
     coordinates: Floats1  # (9,) see multiarm.contacts.joint
 
 
-class Tip(NamedTuple):
+class TipMotion(NamedTuple):
     """Motion of a tip, world axes."""
 
     position: Vector  # [m]
@@ -245,7 +245,7 @@ class Tip(NamedTuple):
     twist: Pair  # [m/s, rad/s]
 
 
-open_tip = row_of(Tip)
+open_tip = row_of(TipMotion)
 
 
 class Sample(NamedTuple):
@@ -257,7 +257,7 @@ class Sample(NamedTuple):
     rows: Ints1  # (o + 1,) the first force of each owner
     states: Ints1  # (o + 1,) the first state of each owner, also in ``forces``
     wrenches: Floats2  # (o, 6) on the second body of each owner
-    tips: Floats2  # (o, 13), of :class:`Tip`; zero of an owner whose first body is no link
+    tips: Floats2  # (o, 13), of :class:`TipMotion`; zero of an owner whose first body is no link
 
 
 class Functions(Numbers):
@@ -409,7 +409,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             rows=recorded[: owners + 1],
             states=recorded[owners:],
             wrenches=np.zeros((owners, 6)),
-            tips=np.zeros((owners, width(Tip))),
+            tips=np.zeros((owners, width(TipMotion))),
         ),
         slopes=ForceSlopes(
             torque=np.zeros((joints, columns)),

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.data import Data
@@ -25,6 +24,7 @@ from multiarm.errors import ModelError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import call_python
 from multiarm.jit.structs import Floats1, Ints1, struct_at
+from multiarm.robots.robot import Robot
 from multiarm.scene import EFFECTS, JointOutline, Scene, joint_vector
 from multiarm.scene.faults import shown
 from multiarm.scene.registry import called
@@ -54,7 +54,7 @@ class BuildContext:
     Attributes
     ----------
     scene : Scene
-    arms : dict of str to Arm
+    arms : dict of str to Robot
     layout : Layout
         Where each arm's joints and contacts are in stacked vectors.
     outlines : dict of str to tuple of JointOutline
@@ -64,7 +64,7 @@ class BuildContext:
     """
 
     scene: Scene
-    arms: dict[str, Arm]
+    arms: dict[str, Robot]
     layout: Layout
     outlines: dict[str, tuple[JointOutline, ...]]
     links: list[tuple[int, int]] = field(default_factory=list)

@@ -25,8 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import twist_product
-from multiarm.arms.terms import POSE_WIDTH, open_addresses, open_pose
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.callbacks import UserCallback
@@ -54,6 +52,8 @@ from multiarm.jit.vectors import (
     rotation,
     vec,
 )
+from multiarm.robots.chain import twist_product
+from multiarm.robots.terms import POSE_WIDTH, open_addresses, open_pose
 from multiarm.scene import read_wrench_table
 
 # Time dependence.

@@ -42,7 +42,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import CoriolisCalls, open_matrix
 from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.table import open_code, rolls
 from multiarm.dynamics.arrays import open_system
@@ -56,13 +55,14 @@ from multiarm.integration.step import METHOD_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, greatest, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints2, floats_at, struct_at, view
+from multiarm.robots.terms import CoriolisCalls, open_matrix
 from multiarm.spatial import write_chart_rate
 
 
 class VariationalWork(NamedTuple):
     """A step's arrays, for velocities of V numbers, ``N`` contacts, ``a`` arms."""
 
-    # the arms' Coriolis matrices, see :class:`multiarm.arms.terms.Coriolis`
+    # the arms' Coriolis matrices, see :class:`multiarm.robots.terms.Coriolis`
     coriolis_calls: CoriolisCalls
     coriolis: Ints2  # (a, 2)
     # at the beginning of the step: configuration, constraint matrices, the object's inertia in

@@ -40,9 +40,11 @@ def tip_pose(
     lock: Mapping[str, float] | None = None,
 ) -> np.ndarray:
     """Pose of a robot's tip in its base, shape (4, 4), with some joints locked."""
-    from multiarm.arms.arm import Arm, ArmFiles
+    from multiarm.robots.robot import Robot, RobotFiles
 
-    arm = Arm("arm", ArmFiles(find_robot(robot).urdf, (), np.eye(4), {"": tip}, dict(lock or {})))
+    arm = Robot(
+        "arm", RobotFiles(find_robot(robot).urdf, (), np.eye(4), {"": tip}, dict(lock or {}))
+    )
     return arm.tip_pose(np.array(posture))
 
 

@@ -17,10 +17,10 @@ from itertools import product
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.assembly.robots import arm_files, load_robots
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot
 from multiarm.scene import (
     JOINTS,
     ArmSpec,
@@ -286,7 +286,7 @@ class _Robot:
     ``tip`` is None where the scene need not name it.
     """
 
-    arm: Arm
+    arm: Robot
     tip: str | None
     length: float
 
@@ -308,7 +308,7 @@ class _Robot:
             )
         tip = tips[0] if len(tips) > 1 else None
         spec = ArmSpec(robot=name, tip=tip)
-        arm = Arm(name, arm_files(spec, resolve_arm(spec)))
+        arm = Robot(name, arm_files(spec, resolve_arm(spec)))
         return cls(arm, tip, float(np.max(arm.levers(np.zeros(3)))))
 
 

@@ -1,10 +1,10 @@
 """Robots by name, and the links that are usually their tips.
 
 ``robot: ur5`` stands for the path of a URDF file.  Three collections are known, and the first wins
-where a name is in two: the project's own robots in ``robots/<name>/<name>.urdf`` (inside the
-installed package, or at the top of a checkout); those of the installed distribution
-``example-robot-data``, wherever it lives, by the names of their files; and those of the package
-``robot_descriptions``, where that is installed.
+where a name is in two: the project's own robots in ``robots/<name>/<name>.urdf`` at the top of a
+checkout, or in the folder ``robot_files`` of the installed package; those of the installed
+distribution ``example-robot-data``, wherever it lives, by the names of their files; and those of
+the package ``robot_descriptions``, where that is installed.
 
 Each of the last is a module, such as ``iiwa14_description``, that says where its URDF is.  Its
 import clones the repository of the robot where the cache has none.  Nothing is downloaded unasked:
@@ -243,7 +243,7 @@ def resolve_package_dirs(urdf: Path, explicit: tuple[Path, ...] = ()) -> tuple[P
 def _project_robots() -> dict[str, RobotEntry]:
     """The project's robots: in the installed package, or at the top of a checkout."""
     package = Path(__file__).resolve().parents[1]
-    for folder in (package / "robots", package.parent / "robots"):
+    for folder in (package / "robot_files", package.parent / "robots"):
         if folder.is_dir():
             files = sorted(folder.glob("*/*.urdf"))
             return {path.stem: RobotEntry(path.stem, path, PROJECT) for path in files}

@@ -17,7 +17,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.control.harmonic import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.failures import require_ok
@@ -25,6 +24,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
 from multiarm.errors import ModelError
+from multiarm.robots.robot import Robot
 from multiarm.scene import RunSpec
 from multiarm.studies.timing import OutOfTime
 
@@ -221,7 +221,7 @@ class Link:
     axis: np.ndarray  # (3,), in the link's axes
 
 
-def links(arm: Arm) -> Iterator[Link]:
+def links(arm: Robot) -> Iterator[Link]:
     """The links of an arm, from its base on; their numbers begin with 1."""
     model = arm.model
     q = arm.configuration(np.zeros(arm.dof))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.arms.base_motion import BaseMotion
+from multiarm.robots.base_motion import BaseMotion
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.viewer.animation import rotations
@@ -26,7 +26,7 @@ class BodyPoses:
     rows : ndarray, shape (K,)
         The samples.
     configurations : dict robot -> ndarray, shape (K, nq)
-        Pinocchio's, see :meth:`multiarm.arms.arm.Arm.configuration`.
+        Pinocchio's, see :meth:`multiarm.robots.robot.Robot.configuration`.
     """
 
     def __init__(self, system: System, trajectory: Trajectory, rows: np.ndarray) -> None:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.arm import Arm
 from multiarm.geometry.triangle_mesh import TriangleMesh, merge
+from multiarm.robots.robot import Robot
 from multiarm.scene.faults import counted
 from multiarm.viewer.animation import Body, along, rotations
 from multiarm.viewer.shapes import PLAIN, geometry_mesh, is_mesh_file
@@ -25,7 +25,7 @@ WHITE = np.ones(3)  # a tint that leaves colours as they are
 
 
 def bodies_of_arms(
-    arms: list[Arm],
+    arms: list[Robot],
     configurations: Mapping[str, np.ndarray],
     colors: Mapping[str, np.ndarray],
     shapes: Shapes,
@@ -55,7 +55,7 @@ def bodies_of_arms(
 
 
 def bodies_of_robot(
-    robot: Arm, configurations: np.ndarray, tip_colors: Mapping[str, np.ndarray], shapes: Shapes
+    robot: Robot, configurations: np.ndarray, tip_colors: Mapping[str, np.ndarray], shapes: Shapes
 ) -> tuple[list[Body], list[Body]]:
     """Return the links of a robot with tips, and among them those of its base.
 
@@ -82,7 +82,7 @@ def bodies_of_robot(
 
 
 def _bodies(
-    arm: Arm,
+    arm: Robot,
     parts: list[_Part],
     configurations: np.ndarray,
     tints: list[np.ndarray],
@@ -119,14 +119,14 @@ class Shapes:
         self._meshes = meshes  # False leaves mesh files out
         self._of_files: dict[tuple, TriangleMesh] = {}
 
-    def visuals(self, arm: Arm) -> list[pin.GeometryObject]:
+    def visuals(self, arm: Robot) -> list[pin.GeometryObject]:
         """Return all visuals of an arm's robot and tool."""
         items = arm.visual_model().geometryObjects
         return [item for item in items if self._meshes or not is_mesh_file(item)]
 
     def parts(
         self,
-        arm: Arm,
+        arm: Robot,
         visuals: list[pin.GeometryObject],
         untinted: Sequence[pin.GeometryObject] = (),
     ) -> list[_Part]:
@@ -138,7 +138,7 @@ class Shapes:
         return parts + _bars(arm, set(range(arm.model.njoints)) - {part.joint for part in parts})
 
     def seen(
-        self, arm: Arm, visuals: Sequence[pin.GeometryObject], subdued: bool = True
+        self, arm: Robot, visuals: Sequence[pin.GeometryObject], subdued: bool = True
     ) -> list[_Part]:
         """Return visuals as parts; a warning names those that cannot be shown."""
         parts: list[_Part] = []
@@ -169,7 +169,7 @@ class Shapes:
         return self._of_files[key]
 
 
-def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
+def _bars(arm: Robot, joints: set[int]) -> list[_Part]:
     """Return bars from each of the `joints` to the next joints and tips."""
     model = arm.model
     ends: dict[int, list[np.ndarray]] = {joint: [] for joint in range(model.njoints)}
@@ -193,7 +193,7 @@ def _bars(arm: Arm, joints: set[int]) -> list[_Part]:
     return parts
 
 
-def _reach(arm: Arm, base: np.ndarray) -> float:
+def _reach(arm: Robot, base: np.ndarray) -> float:
     """Return the longest way from the base over the joints to a tip [m]."""
     model, ways = arm.model, [0.0]
     for k in range(1, model.njoints):

@@ -16,7 +16,6 @@ from repository import SCENES
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.arms.arm import Arm
 from multiarm.assembly.arm_postures import PostureSearch
 from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
@@ -25,6 +24,7 @@ from multiarm.assembly.reaching import REACHED, write_step
 from multiarm.assembly.robots import arm_files, load_robots, with_bases
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, ObjectSpec, Pose, Scene, parse_scene, resolve_arm
 
 UR5 = {"robot": "ur5", "tip": "tool0"}
@@ -33,9 +33,9 @@ FINGERS = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
 DOWN = {"xyz": [0.0, 0.0, 0.1], "rpy": [np.pi, 0.0, 0.0]}
 
 
-def robot(**spec) -> Arm:
+def robot(**spec) -> Robot:
     own = ArmSpec.model_validate(spec)
-    return Arm("arm", arm_files(own, resolve_arm(own)))
+    return Robot("arm", arm_files(own, resolve_arm(own)))
 
 
 ROBOTS = [
@@ -161,7 +161,7 @@ def test_frames_that_cannot_coincide_are_sought_up_to_the_limits_where_no_other_
     assert posture.sum() == pytest.approx(1.8, abs=1e-7)
 
 
-def gantry(folder, *slides: tuple[str, float]) -> Arm:
+def gantry(folder, *slides: tuple[str, float]) -> Robot:
     """Slides on each other, each with its axis and its travel [m]."""
     joints = "".join(
         f"<joint name='j{k}' type='prismatic'><parent link='l{k}'/><child link='l{k + 1}'/>"
@@ -178,13 +178,13 @@ def gantry(folder, *slides: tuple[str, float]) -> Arm:
     return robot(urdf=path, tip=f"l{len(slides)}")
 
 
-def whole_ranges(arm: Arm) -> np.ndarray:
+def whole_ranges(arm: Robot) -> np.ndarray:
     endless = ~np.isfinite(arm.position_limits)
     return np.where(endless, [-np.pi, np.pi], arm.position_limits).T
 
 
 def posture_search(
-    arm: Arm, there: np.ndarray, body: ObjectSpec | None = None, free: tuple[int, ...] = ()
+    arm: Robot, there: np.ndarray, body: ObjectSpec | None = None, free: tuple[int, ...] = ()
 ) -> PostureSearch:
     body = body or ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose=pose_table(far_off(there)))
     return PostureSearch(arm, np.eye(4), there, free, body)
@@ -453,7 +453,7 @@ def test_a_base_is_found_where_the_arm_holds_its_place_well():
     assert np.mean(dexterity > np.array(others)) > 0.6
 
 
-def _dexterity(arm: Arm, q: np.ndarray) -> float:
+def _dexterity(arm: Robot, q: np.ndarray) -> float:
     return np.linalg.svd(arm.terms(q, np.zeros(6)).J, compute_uv=False)[-1]
 
 

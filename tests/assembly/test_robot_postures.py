@@ -15,8 +15,6 @@ from scipy.spatial.transform import Rotation
 from tree_scenes import gripper_loops
 
 import multiarm as ma
-from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.terms import ArmStructure
 from multiarm.assembly import postures as postures_module
 from multiarm.assembly.arm_postures import STARTS
 from multiarm.assembly.inverse_kinematics import TreeKinematics
@@ -25,6 +23,8 @@ from multiarm.assembly.reaching import REACHED
 from multiarm.assembly.robot_postures import ALL_WRITTEN, RobotPostureSearch
 from multiarm.assembly.robots import load_robots
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot, RobotFiles
+from multiarm.robots.terms import ArmStructure
 from multiarm.scene import ObjectSpec, Scene, parse_scene
 from multiarm.scene.robots import find_robot
 
@@ -36,7 +36,7 @@ CLOSED = 4.0 * REACHED
 
 
 @dataclass(frozen=True)
-class Robot:
+class Tree:
     """A tree with limits, and the frames that it may hold something with."""
 
     structure: ArmStructure
@@ -81,23 +81,23 @@ class Robot:
         return rng.uniform(*np.where(np.isfinite(self.limits), self.limits, endless).T)
 
 
-def model(name: str, *tips: str) -> Robot:
+def model(name: str, *tips: str) -> Tree:
     """A known model whose joints on the way to some links move."""
     urdf = find_robot(name).urdf
     whole = pin.buildModelFromUrdf(str(urdf))
     ways = [whole.supports[whole.frames[whole.getFrameId(tip)].parentJoint] for tip in tips]
     moved = {joint for way in ways for joint in way}
     locked = {whole.names[k]: 0.0 for k in range(1, whole.njoints) if k not in moved}
-    arm = Arm("robot", ArmFiles(urdf, (), np.eye(4), {tip: tip for tip in tips}, locked))
+    arm = Robot("robot", RobotFiles(urdf, (), np.eye(4), {tip: tip for tip in tips}, locked))
     frames = [arm.model.frames[arm.model.getFrameId(tip)] for tip in tips]
-    return Robot(
+    return Tree(
         arm.structure(),
         arm.position_limits,
         tuple(LinkFrame(f.parentJoint - 1, f.placement.homogeneous) for f in frames),
     )
 
 
-def on_moving_base(robot: Robot) -> Robot:
+def on_moving_base(robot: Tree) -> Tree:
     """The robot on joints x, y and yaw without limits."""
     tree = robot.structure
     base = ArmStructure(*(np.zeros((3, *part.shape[1:]), part.dtype) for part in tree))
@@ -107,16 +107,16 @@ def on_moving_base(robot: Robot) -> Robot:
     both.axes[:3], both.rotations[:3], both.masses[:3] = YAW_LAST, np.eye(3), 1.0
     limits = np.vstack([np.full((3, 2), [-np.inf, np.inf]), robot.limits])
     tips = tuple(replace(tip, joint=tip.joint + 3) for tip in robot.tips)
-    return Robot(both, limits, tips, base_joints=3)
+    return Tree(both, limits, tips, base_joints=3)
 
 
-def random_robot(rng: np.random.Generator, joints: int = 14) -> Robot:
+def random_robot(rng: np.random.Generator, joints: int = 14) -> Tree:
     """Two branches of a random tree with a frame at the end of each."""
     parents = np.concatenate([[-1, 0], [1, 2, 3, 4, 5, 6], [1, 8, 9, 10, 11, 12]])[:joints]
     structure = random_structure(rng, parents)
     middle, half = rng.uniform(-1.0, 1.0, joints), rng.uniform(0.5, 2.0, joints)
     tips = tuple(LinkFrame(joint, random_pose(rng, 0.2)) for joint in (7, joints - 1))
-    return Robot(structure, np.column_stack([middle - half, middle + half]), tips)
+    return Tree(structure, np.column_stack([middle - half, middle + half]), tips)
 
 
 def random_pose(rng: np.random.Generator, size: float) -> np.ndarray:
@@ -161,7 +161,7 @@ def test_poses_and_jacobians_of_trees_are_pinocchios(rng):
     """Of a frame at rest and of one seen from another link; some joints follow others."""
     for _ in range(4):
         parents = random_parents(rng, 9)
-        robot = Robot(random_structure(rng, parents), np.zeros((9, 2)), ())
+        robot = Tree(random_structure(rng, parents), np.zeros((9, 2)), ())
         couplings = [Coupling(2, 7, -0.7, 0.3), Coupling(7, 4, 2.0, -0.1), Coupling(1, 8, 1.0)]
         first, second = (LinkFrame(int(k), random_pose(rng, 0.3)) for k in rng.choice(9, 2, False))
         targets = [Target(first, LinkFrame(-1)), Target(first, second)]
@@ -266,7 +266,7 @@ def test_a_four_bar_linkage_closes_within_the_ranges_of_its_joints():
     tree.translations[2] = [ground, 0, 0]
     loop = Target(end_of_bar(1, coupler), end_of_bar(2, rocker), free=(5,))
     limits = np.array([[0.5, 1.2], [-np.pi, np.pi], [0.1, np.pi]])
-    q = Robot(tree, limits, ()).search([loop]).best()
+    q = Tree(tree, limits, ()).search([loop]).best()
     assert np.all((limits[:, 0] <= q) & (q <= limits[:, 1]))
     diagonal = np.sqrt(crank**2 + ground**2 - 2 * crank * ground * np.cos(q[0]))
     # angle between ground and rocker at the rocker's pivot, by both triangles on the diagonal
@@ -286,7 +286,7 @@ def test_joints_that_follow_others_do_and_keep_their_own_limits():
     place = np.eye(4)
     place[:3, :3] = Rotation.from_rotvec(turns[-1] * Z).as_matrix()
     place[:2, 3] = 0.3 * np.sum([np.cos(turns), np.sin(turns)], axis=1)
-    robot = Robot(tree, limits, (tip,))
+    robot = Tree(tree, limits, (tip,))
     q = robot.search(robot.holds([place]), couplings=couplings).best()
     np.testing.assert_allclose(q, [angle, angle + 0.2, angle + 0.2], atol=CLOSED)
     for joint, most in ((0, 0.4), (1, 0.6), (2, 0.6)):  # less than the bar has to turn
@@ -353,7 +353,7 @@ def test_a_mechanism_in_a_plane_prefers_postures_far_from_singular_ones():
     tree = planar([1.0, 1.0, 1.0, 1.0], [-1, 0, 1, 2])
     place = np.eye(4)
     place[:2, 3] = 0.9, 1.3
-    robot = Robot(tree, np.full((4, 2), [-3.0, 3.0]), (end_of_bar(3, 1.0),))
+    robot = Tree(tree, np.full((4, 2), [-3.0, 3.0]), (end_of_bar(3, 1.0),))
     search = robot.search(robot.holds([place], (3, 4, 5)))
     kinematics, _ = search._searches()[-1]
     assert kinematics.rank == 2
@@ -402,7 +402,7 @@ def test_places_that_two_stretched_arms_just_reach_or_not(part):
     tree = planar([0.0, 0.4, 0.3, 0.4, 0.3], [-1, 0, 1, 0, 3])
     tree.translations[[1, 3]] = [0.25, 0, 0], [-0.25, 0, 0]
     limits = np.full((5, 2), [-np.inf, np.inf])
-    robot = Robot(tree, limits, (end_of_bar(2, 0.3), end_of_bar(4, 0.3)))
+    robot = Tree(tree, limits, (end_of_bar(2, 0.3), end_of_bar(4, 0.3)))
     places = []
     for side in (1.0, -1.0):
         place = np.eye(4)
@@ -419,7 +419,7 @@ def test_places_that_two_stretched_arms_just_reach_or_not(part):
 
 def test_where_nothing_is_found_the_message_tells_the_gaps_and_what_to_do():
     """A bar that cannot turn out of its plane: its end is 0.1 m below its place at the best."""
-    robot = Robot(planar([0.5, 0.5], [-1, 0]), np.full((2, 2), [-2.0, 2.0]), (end_of_bar(1, 0.5),))
+    robot = Tree(planar([0.5, 0.5], [-1, 0]), np.full((2, 2), [-2.0, 2.0]), (end_of_bar(1, 0.5),))
     place = np.eye(4)
     place[:3, 3] = [0.6, 0.2, 0.1]
     search = robot.search(robot.holds([place], (3, 4, 5)))
@@ -452,7 +452,7 @@ def robot_scene(joints: list[dict], body: dict = BAR, **robot) -> Scene:
     return parse_scene({"object": body, "robots": {"b": {**BAXTER, **robot}}, "joints": joints})
 
 
-def posture_in(scene: Scene) -> tuple[Arm, np.ndarray]:
+def posture_in(scene: Scene) -> tuple[Robot, np.ndarray]:
     robots = load_robots(scene)
     return robots.arms["b"], robots.postures["b"]
 

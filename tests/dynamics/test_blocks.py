@@ -12,13 +12,13 @@ from random_trees import FAMILIES, draw_trees, random_hand
 from scipy.optimize import approx_fprime
 
 import multiarm as ma
-from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.assembly.blocks import robot_blocks
 from multiarm.contacts.table import JointRow
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.status import OK
+from multiarm.robots.robot import Robot, RobotFiles
 from multiarm.scene import parse_scene
 from multiarm.scene.bodies import OBJECT, BodyName
 
@@ -39,7 +39,7 @@ def hand_file(rng, tmp_path):
 @pytest.fixture
 def hand(hand_file):
     tips = {f"tip_{k}": f"link_{end}" for k, end in enumerate(ENDS)}
-    return Arm("hand", ArmFiles(hand_file, (), np.eye(4), tips, {}))
+    return Robot("hand", RobotFiles(hand_file, (), np.eye(4), tips, {}))
 
 
 def held_by(*tips: int) -> list[Connection]:

@@ -45,7 +45,7 @@ class Counting:
 def pinocchio_calls(monkeypatch):
     """Function ``scene, count -> calls``: Pinocchio's functions in so many evaluations."""
     counting = Counting()
-    monkeypatch.setattr("multiarm.arms.backends.pin", counting)
+    monkeypatch.setattr("multiarm.robots.backends.pin", counting)
 
     def calls(scene: ma.Scene, count: int) -> Counter[str]:
         system = ma.compile_system(scene)

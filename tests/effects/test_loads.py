@@ -26,7 +26,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-import multiarm.arms.backends
+import multiarm.robots.backends
 from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError, ModelError
 from multiarm.integration.near_singular import evaluate_on_branch
@@ -334,7 +334,7 @@ def test_wrenches_find_their_arm_among_several_pinocchio_models(monkeypatch, rng
     state = random_state(ma.compile_system(scene), rng)
     wrench = {"on": "right/forearm_link", "at": [0.1, 0.2, 0.3], "force": [1.0, 2.0, 3.0]}
     _, together = added(scene, [wrench], state)
-    monkeypatch.setattr(multiarm.arms.backends, "ARMS_PER_GROUP", 1)
+    monkeypatch.setattr(multiarm.robots.backends, "ARMS_PER_GROUP", 1)
     _, apart = added(scene, [wrench], state)
     np.testing.assert_allclose(together, apart, atol=1e-12)
     assert np.all(together[:6] == 0.0) and np.all(together[9:] == 0.0)
@@ -400,7 +400,7 @@ def test_loads_on_links_cost_no_call_of_pinocchio(monkeypatch):
 
     names = ("crba", "nonLinearEffects", "computeGeneralizedGravity", "forwardKinematics")
     for name in names:
-        monkeypatch.setattr(multiarm.arms.backends.pin, name, counted(name))
+        monkeypatch.setattr(multiarm.robots.backends.pin, name, counted(name))
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     wrench = {"on": "left/forearm_link", "force": [0.0, 0.0, 1e-9]}
     effects = {

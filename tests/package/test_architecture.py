@@ -24,7 +24,7 @@ PACKAGE = ROOT / "multiarm"
 # rooms above it in this list only, wherever the import stands.  "multiarm" is the public surface.
 ROOMS = (
     "notation", "errors", "public", "geometry", "jit", "spatial", "programs", "tableaus", "threads",
-    "scene", "results", "contacts", "arms", "dynamics", "control", "effects", "integration",
+    "scene", "results", "contacts", "robots", "dynamics", "control", "effects", "integration",
     "terminal", "assembly", "events", "simulation", "linear", "gradients", "grasp", "sweeps",
     "plots", "reports", "viewer", "problems", "studies", "multiarm", "cli", "__main__",
 )  # fmt: skip
@@ -32,7 +32,7 @@ ROOMS = (
 # Libraries beside the standard one and NumPy: the rooms, or modules, that may import them.
 LIBRARIES: dict[str, tuple[str, ...]] = {
     "PIL": ("scene.meshes",),
-    "coal": ("arms.arm", "assembly.collisions", "viewer.shapes"),
+    "coal": ("robots.robot", "assembly.collisions", "viewer.shapes"),
     "control": ("linear.linearisation",),
     "dask": ("sweeps.executors",),
     "distributed": ("sweeps.executors", "sweeps.sweep"),
@@ -53,9 +53,9 @@ LIBRARIES: dict[str, tuple[str, ...]] = {
     "mujoco": ("studies.mujoco_peer",),
     "numba": ("jit", "studies.mujoco_peer"),
     "pinocchio": (
-        "arms.arm",
-        "arms.backends",
-        "arms.compiled.reference",
+        "robots.robot",
+        "robots.backends",
+        "robots.compiled.reference",
         "assembly.collisions",
         "scene.mjcf",
         "viewer",
@@ -257,7 +257,7 @@ def test_modules_import_each_other_without_cycles():
 def test_node_sees_arrays_only():
     node = "dynamics.solver."
     seen = {found.imported for found in imports() if found.ours and found.importer.startswith(node)}
-    allowed = {"arms.terms", "dynamics.status"}
+    allowed = {"robots.terms", "dynamics.status"}
     assert all(name.startswith((node, "jit.")) or name in allowed for name in seen)
 
 

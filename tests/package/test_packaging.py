@@ -73,8 +73,8 @@ def test_wheel_holds_every_module_and_nothing_of_the_tests(contents):
 @pytest.mark.slow
 def test_wheel_holds_the_robots_with_their_sources(contents):
     files = [path for path in (ROOT / "robots").rglob("*") if path.is_file()]
-    expected = {f"multiarm/{path.relative_to(ROOT)}" for path in files}
-    assert {name for name in contents if name.startswith("multiarm/robots/")} == expected
+    expected = {f"multiarm/robot_files/{path.relative_to(ROOT / 'robots')}" for path in files}
+    assert {name for name in contents if name.startswith("multiarm/robot_files/")} == expected
     folders = {path.parent for path in files if path.suffix == ".urdf"}
     assert folders
     assert all((folder / "SOURCE.md").is_file() for folder in folders)

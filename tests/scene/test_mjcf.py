@@ -13,9 +13,9 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.arms.arm import Arm
 from multiarm.assembly.robots import arm_files
 from multiarm.errors import SceneError
+from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, dump_scene, parse_scene, resolve_arm
 
 POSTURE = [0.3, -0.4, 0.5, 0.9, -0.6, 0.2]
@@ -71,9 +71,9 @@ def model_text(bodies: str, parts: str = "", compiler: str = "angle='radian'") -
     return f"<mujoco><compiler {compiler}/>{parts}<worldbody>{bodies}</worldbody></mujoco>"
 
 
-def arm_of(**spec: object) -> Arm:
+def arm_of(**spec: object) -> Robot:
     own = ArmSpec(**{"base": BASE, **spec})
-    return Arm("arm", arm_files(own, resolve_arm(own)))
+    return Robot("arm", arm_files(own, resolve_arm(own)))
 
 
 @pytest.mark.parametrize("kinds", ["hhh", "hhhhhh", "shhsh"])

@@ -11,8 +11,8 @@ from repository import SCENES
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.arms import arm as arms_room
 from multiarm.errors import SceneError
+from multiarm.robots import arm as arms_room
 from multiarm.scene import find_robot, load_scene, read_urdf
 from multiarm.viewer.animate import animate, lowest
 from multiarm.viewer.robot_bodies import WHITE

@@ -22,7 +22,6 @@ import numpy as np
 from random_trees import draw_trees
 
 import multiarm as ma
-from multiarm.arms.compiled.kernels import outwards, update_arms
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.jit.kernels import kernel
 from multiarm.jit.simd import (
@@ -38,6 +37,7 @@ from multiarm.jit.simd import (
     transpose_four,
 )
 from multiarm.problems import HARD_CASES, ring_of_arms
+from multiarm.robots.compiled.kernels import outwards, update_arms
 from multiarm.scene import parse_scene
 from multiarm.scene.joint_values import SOLVE
 

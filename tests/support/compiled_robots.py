@@ -8,19 +8,21 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.compiled import backend as compiled_backend
-from multiarm.arms.compiled.backend import CompiledBackend
-from multiarm.arms.compiled.packing import make_tables
-from multiarm.arms.compiled.tables import Wanted
-from multiarm.arms.terms import LinkTerms
+from multiarm.robots.compiled import backend as compiled_backend
+from multiarm.robots.compiled.backend import CompiledBackend
+from multiarm.robots.compiled.packing import make_tables
+from multiarm.robots.compiled.tables import Wanted
+from multiarm.robots.robot import Robot, RobotFiles
+from multiarm.robots.terms import LinkTerms
 
 GRAVITY = np.array([1.0, -2.0, -9.0])
 
 
-def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Arm:
+def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Robot:
     base = np.eye(4) if base is None else base
-    return Arm(name, ArmFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors)
+    return Robot(
+        name, RobotFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors
+    )
 
 
 def random_base(rng, away=1.0) -> np.ndarray:

@@ -18,7 +18,7 @@ from repository import WORKED
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-import multiarm.arms.backends
+import multiarm.robots.backends
 from multiarm.contacts.kernel import (
     CONTACT_WIDTH,
     ContactRow,

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from multiarm.arms.terms import ArmStructure
+from multiarm.robots.terms import ArmStructure
 
 
 def random_parents(rng, joints: int, branching: float = 0.4) -> list[int]:
-    """Parents of a tree's joints, as :class:`multiarm.arms.terms.ArmStructure` has them.
+    """Parents of a tree's joints, as :class:`multiarm.robots.terms.ArmStructure` has them.
 
     A branch is complete before the next one begins: Pinocchio relies on this order.
     """

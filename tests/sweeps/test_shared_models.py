@@ -15,10 +15,10 @@ from mechanics import (
 )
 
 import multiarm as ma
-from multiarm.arms.terms import TermAddresses
 from multiarm.dynamics.data import Data
 from multiarm.jit.rows import offset_of
 from multiarm.jit.structs import Numbers
+from multiarm.robots.terms import TermAddresses
 
 WELD = {"kind": "weld"}
 

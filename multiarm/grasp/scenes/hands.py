@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
 from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
 from multiarm.assembly.robots import arm_files
@@ -33,6 +32,7 @@ from multiarm.grasp.body.face import OFF_PLANE, across, frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.designs.grippers import clearest_approach
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
+from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, resolve_arm
 from multiarm.spatial import matrix_to_quaternion
 
@@ -364,8 +364,8 @@ def _clear_of(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray]
     return clear
 
 
-def _robot(spec: ArmSpec) -> Arm:
-    return Arm(spec.robot or "arm", arm_files(spec, resolve_arm(spec)))
+def _robot(spec: ArmSpec) -> Robot:
+    return Robot(spec.robot or "arm", arm_files(spec, resolve_arm(spec)))
 
 
 def lifted(height: float) -> np.ndarray:

@@ -25,12 +25,12 @@ from refusals import refused
 from repository import SCENES
 
 import multiarm as ma
-from multiarm.arms.compiled import backend as compiled_backend
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import potential_energy
 from multiarm.errors import ModelError, SceneError
 from multiarm.jit.pointers import PythonCallback
 from multiarm.problems import ring_of_arms
+from multiarm.robots.compiled import backend as compiled_backend
 
 WELD, BALL = {"kind": "weld"}, {"kind": "ball"}
 SWING = {
@@ -422,7 +422,7 @@ def test_a_copy_that_is_not_the_arm_ends_the_compilation(monkeypatch):
 
 
 def test_a_wrong_coriolis_matrix_is_refused_when_it_is_needed(monkeypatch):
-    from multiarm.arms.compiled.backend import CompiledBackend
+    from multiarm.robots.compiled.backend import CompiledBackend
 
     system = ma.compile_system(pair(), arms="compiled")
     terms = CompiledBackend.terms

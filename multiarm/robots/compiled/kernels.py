@@ -1,7 +1,7 @@
 r"""Batched RNEA and CRBA: one outward and one inward sweep along four branches at once.
 
-The equations of a joint and its link are those of :mod:`multiarm.arms.chain`.  Outwards (recursive
-Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the base being
+The equations of a joint and its link are those of :mod:`multiarm.robots.chain`.  Outwards
+(recursive Newton-Euler; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3), the base being
 accelerated by minus gravity and p the joint before j,
 
 .. math::
@@ -24,34 +24,6 @@ from __future__ import annotations
 
 import math
 
-from multiarm.arms.chain import (
-    add_pair,
-    add_twist_product,
-    column_of,
-    inertial_force,
-    link_inertia,
-    moments,
-    next_frame,
-    power,
-    times_inertia,
-    write_motion,
-)
-from multiarm.arms.compiled.tables import (
-    BODY_LANES,
-    FRAME_LANES,
-    JACOBIAN_LANES,
-    JOINT_LANES,
-    LINK_LANES,
-    LINK_SUMS,
-    POSE_LANES,
-    open_arms,
-    open_body,
-    open_frame,
-    open_jacobian,
-    open_joint,
-    open_link,
-    open_pose,
-)
 from multiarm.contacts.motion import BODY_WIDTH
 from multiarm.jit.kernels import cfunc, inlined, kernel
 from multiarm.jit.simd import (
@@ -73,6 +45,34 @@ from multiarm.jit.vectors import (
     dot,
     scale,
     sub,
+)
+from multiarm.robots.chain import (
+    add_pair,
+    add_twist_product,
+    column_of,
+    inertial_force,
+    link_inertia,
+    moments,
+    next_frame,
+    power,
+    times_inertia,
+    write_motion,
+)
+from multiarm.robots.compiled.tables import (
+    BODY_LANES,
+    FRAME_LANES,
+    JACOBIAN_LANES,
+    JOINT_LANES,
+    LINK_LANES,
+    LINK_SUMS,
+    POSE_LANES,
+    open_arms,
+    open_body,
+    open_frame,
+    open_jacobian,
+    open_joint,
+    open_link,
+    open_pose,
 )
 
 

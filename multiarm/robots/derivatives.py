@@ -1,6 +1,6 @@
 r"""Derivatives of arms: of the motion of their links, of the inverse dynamics.
 
-An arm is a tree of rigid bodies with the equations of :mod:`multiarm.arms.chain`;
+An arm is a tree of rigid bodies with the equations of :mod:`multiarm.robots.chain`;
 :math:`\times^*` is the product of a twist and a wrench.  Outwards, with the base accelerated by
 minus gravity, and with p the parent of joint j,
 
@@ -46,24 +46,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import (
-    ChainJoint,
-    add_pair,
-    add_scaled_pair,
-    chain_joints,
-    column_of,
-    inertial_force,
-    link_inertia,
-    moments,
-    next_frame,
-    power,
-    sub_pair,
-    times_inertia,
-    twice_turning_matrix,
-    twist_product,
-    write_motion,
-)
-from multiarm.arms.terms import ArmStructure
 from multiarm.contacts.motion import open_body
 from multiarm.jit.kernels import clear, inlined, kernel
 from multiarm.jit.rows import Axes, Number, Pair, Rotation, Symmetric, Vector, row_of, width
@@ -84,6 +66,24 @@ from multiarm.jit.vectors import (
     scale,
     vec,
 )
+from multiarm.robots.chain import (
+    ChainJoint,
+    add_pair,
+    add_scaled_pair,
+    chain_joints,
+    column_of,
+    inertial_force,
+    link_inertia,
+    moments,
+    next_frame,
+    power,
+    sub_pair,
+    times_inertia,
+    twice_turning_matrix,
+    twist_product,
+    write_motion,
+)
+from multiarm.robots.terms import ArmStructure
 
 
 class Displacement(NamedTuple):
@@ -129,9 +129,9 @@ class ArmLinks(NamedTuple):
     first : int64 ndarray, shape (n + 1,)
         First joint of each arm.
     parents : int64 ndarray, shape (joints,)
-        As in :class:`multiarm.arms.terms.ArmStructure`, counted from the arm's first joint.
+        As in :class:`multiarm.robots.terms.ArmStructure`, counted from the arm's first joint.
     joints : ndarray, shape (joints, 34)
-        Every :class:`multiarm.arms.chain.ChainJoint`.
+        Every :class:`multiarm.robots.chain.ChainJoint`.
     bases : ndarray, shape (n, 3)
         Origins of the first joints in the world [m].
     gravity : ndarray, shape (3,)

@@ -19,10 +19,10 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.base_motion import BaseMotion
-from multiarm.arms.terms import ArmStructure, ArmTerms, TipKinematics
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
+from multiarm.robots.base_motion import BaseMotion
+from multiarm.robots.terms import ArmStructure, ArmTerms, TipKinematics
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 from multiarm.scene.urdf import JointOutline
@@ -35,7 +35,7 @@ BASE_UNITS = ["m"] * 3 + ["rad"] * 3
 
 
 @dataclass(frozen=True)
-class ArmFiles:
+class RobotFiles:
     """URDFs of a robot and its tool, folders of their meshes, mounting, tips and locked joints.
 
     ``tips`` are links by their names, "" for the only tip of an arm.  ``tool_urdf`` is a path, or
@@ -61,7 +61,7 @@ class ArmFiles:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmTip:
+class Tip:
     """A frame on a link of a robot that takes part in connections.
 
     Attributes
@@ -82,11 +82,11 @@ class ArmTip:
     chain: np.ndarray
 
 
-AT_REST = ArmTip(0, 0, np.eye(3), np.zeros(3), np.zeros(0, dtype=np.int64))
+AT_REST = Tip(0, 0, np.eye(3), np.zeros(3), np.zeros(0, dtype=np.int64))
 """The frame of the object or the world as a first body."""
 
 
-class Arm:
+class Robot:
     """One robot: a tree of links on a base, with one tip (an arm) or several.
 
     The base is fixed in the world or *floats*.  A velocity of the robot has then, before the rates
@@ -114,7 +114,7 @@ class Arm:
         Of these, in messages: those of the joints after those of a floating base.
     velocity_units : list of str
         "rad" or "m", of the coordinates of these.
-    tips : dict of str to ArmTip
+    tips : dict of str to Tip
         By name; that of an arm is "".
     position_limits : ndarray, shape (n, 2)
         From the URDF; infinite for continuous joints.
@@ -125,7 +125,7 @@ class Arm:
     def __init__(
         self,
         name: str,
-        files: ArmFiles,
+        files: RobotFiles,
         color: tuple[float, ...] | None = None,
         rotor_inertia: np.ndarray | None = None,
     ):
@@ -174,7 +174,7 @@ class Arm:
 
     def __repr__(self) -> str:
         tips = ", ".join(map(repr, self.files.tips.values()))
-        return f"Arm({self.name!r}, {count_of(len(self.joint_names), 'joint')}, tip {tips})"
+        return f"Robot({self.name!r}, {count_of(len(self.joint_names), 'joint')}, tip {tips})"
 
     @property
     def base_dof(self) -> int:
@@ -196,10 +196,10 @@ class Arm:
         """Pinocchio's number of the first joint that is none of a floating base."""
         return 3 if self.floats else 1
 
-    def _make_tip(self, link: str) -> ArmTip:
+    def _make_tip(self, link: str) -> Tip:
         frame_id = _frame_id(self.model, link, self.text)
         frame = self.model.frames[frame_id]
-        return ArmTip(
+        return Tip(
             frame_id=frame_id,
             joint=frame.parentJoint,
             rotation=frame.placement.rotation.copy(),
@@ -222,7 +222,7 @@ class Arm:
         return np.array(self.model.parents[1:], dtype=np.int64) - 1
 
     @property
-    def tip(self) -> ArmTip:
+    def tip(self) -> Tip:
         """The tip of an arm."""
         (tip,) = self.tips.values()
         return tip
@@ -440,7 +440,7 @@ def _read(urdf: Path | str, _stamp: int) -> pin.Model:
 
 
 def _assemble(
-    robot: str, files: ArmFiles, kind: pin.GeometryType | None = None
+    robot: str, files: RobotFiles, kind: pin.GeometryType | None = None
 ) -> tuple[pin.Model, pin.GeometryModel]:
     """Robot, tool, locked joints, base: the model and, if wanted, its geometry of a kind."""
     base = _placed_base(files)
@@ -477,7 +477,7 @@ def _assemble(
     return model, geometry
 
 
-def _placed_base(files: ArmFiles) -> pin.SE3:
+def _placed_base(files: RobotFiles) -> pin.SE3:
     """Pose of the root link in the world; of one that moves, at zero positions."""
     base = pin.SE3(files.base)
     return base * pin.SE3(mjcf_model(files.urdf)[1].matrix()) if files.mjcf else base
@@ -488,7 +488,7 @@ def _quaternion_pose(pose: pin.SE3) -> np.ndarray:
     return np.concatenate([pose.translation, matrix_to_quaternion(pose.rotation)])
 
 
-def _moving_base(files: ArmFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE3]:
+def _moving_base(files: RobotFiles, base: pin.SE3) -> tuple[pin.Model, int, pin.SE3]:
     """The joints below a robot's root link, the frame that carries it, and its pose there."""
     model, carrier, place = pin.Model(), 0, base
     if files.base_floats:  # its configuration is its pose in the world
@@ -554,7 +554,7 @@ _ROLES = {
 }
 
 
-def named_with_prefix(arm: Arm) -> pin.Model:
+def named_with_prefix(arm: Robot) -> pin.Model:
     """A copy of the arm's model whose joints and frames are named ``arm/...``."""
     model = arm.model.copy()
     for i in range(1, model.njoints):

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import ArmStructure
 from multiarm.jit.simd import LANES
+from multiarm.robots.terms import ArmStructure
 
 
 class Branch(NamedTuple):

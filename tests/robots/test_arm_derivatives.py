@@ -15,7 +15,11 @@ import pytest
 from mechanics import difference
 from random_structures import pinocchio_model, random_parents, random_structure
 
-from multiarm.arms.derivatives import (
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.jit.kernels import INT, INTS, NUMBERS, TABLE, kernel
+from multiarm.jit.rows import fields_of
+from multiarm.jit.structs import struct_of, view
+from multiarm.robots.derivatives import (
     DISPLACEMENT_WIDTH,
     LINK_WIDTH,
     ArmLinks,
@@ -27,11 +31,7 @@ from multiarm.arms.derivatives import (
     write_link,
     write_motions,
 )
-from multiarm.arms.terms import ArmStructure
-from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
-from multiarm.jit.kernels import INT, INTS, NUMBERS, TABLE, kernel
-from multiarm.jit.rows import fields_of
-from multiarm.jit.structs import struct_of, view
+from multiarm.robots.terms import ArmStructure
 
 GRAVITY = np.array([1.0, -2.0, -9.0])
 TREES = {

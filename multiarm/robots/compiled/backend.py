@@ -11,13 +11,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.compiled.branches import most_in_a_row
-from multiarm.arms.compiled.coriolis import update_coriolis
-from multiarm.arms.compiled.kernels import update_arms
-from multiarm.arms.compiled.packing import BodyLink, make_tables
-from multiarm.arms.compiled.reference import at_rest, pinocchio_terms
-from multiarm.arms.compiled.tables import (
+from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.errors import ModelError
+from multiarm.jit.pointers import address_of, call_whole
+from multiarm.jit.rows import as_row, fields_of, offset_of
+from multiarm.jit.structs import struct_of
+from multiarm.robots.compiled.branches import most_in_a_row
+from multiarm.robots.compiled.coriolis import update_coriolis
+from multiarm.robots.compiled.kernels import update_arms
+from multiarm.robots.compiled.packing import BodyLink, make_tables
+from multiarm.robots.compiled.reference import at_rest, pinocchio_terms
+from multiarm.robots.compiled.tables import (
     JACOBIAN_WIDTH,
     MOST_JOINTS,
     ArmTables,
@@ -26,7 +30,8 @@ from multiarm.arms.compiled.tables import (
     make_terms,
     make_work,
 )
-from multiarm.arms.terms import (
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import (
     POSE_WIDTH,
     ArmState,
     ArmStructure,
@@ -36,11 +41,6 @@ from multiarm.arms.terms import (
     MatrixAddress,
     TermAddresses,
 )
-from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
-from multiarm.errors import ModelError
-from multiarm.jit.pointers import address_of, call_whole
-from multiarm.jit.rows import as_row, fields_of, offset_of
-from multiarm.jit.structs import struct_of
 
 # Number of random states; bounds of positions [rad, m] and velocities [rad/s, m/s].
 STATES, LARGEST_POSITION, LARGEST_VELOCITY = 8, np.pi, 3.0
@@ -64,13 +64,13 @@ _PARTS = {
 
 
 def compile_arms(
-    arms: Mapping[str, Arm], gravity: np.ndarray, links: Sequence[tuple[int, int]]
+    arms: Mapping[str, Robot], gravity: np.ndarray, links: Sequence[tuple[int, int]]
 ) -> tuple[CompiledBackend | None, dict[str, str]]:
     """Backend of all arms that can be compiled, verified against Pinocchio.
 
     Parameters
     ----------
-    arms : mapping of str to Arm
+    arms : mapping of str to Robot
     gravity : ndarray, shape (3,)
     links : sequence of (int, int)
         The links whose motion is written to the rows of ``ArmState.bodies``: the arm's number, and
@@ -109,7 +109,7 @@ def compile_arms(
 class CompiledBackend:
     """Arms of one system in compiled code, four branches at a time.
 
-    See :mod:`multiarm.arms.backends`.  The sweep writes the motion of the links that take part in
+    See :mod:`multiarm.robots.backends`.  The sweep writes the motion of the links that take part in
     connections into ``ArmState.bodies``.
 
     Parameters
@@ -118,7 +118,7 @@ class CompiledBackend:
         Constants, which several systems may share.
     places : sequence of int
         The arms' numbers among all arms of the scene.
-    arms : mapping of str to Arm
+    arms : mapping of str to Robot
         All arms of the scene, against which the compiled ones are verified.
     links : sequence of (int, int)
         See :func:`compile_arms`.
@@ -128,7 +128,7 @@ class CompiledBackend:
         self,
         tables: ArmTables,
         places: Sequence[int],
-        arms: Mapping[str, Arm],
+        arms: Mapping[str, Robot],
         links: Sequence[tuple[int, int]],
     ) -> None:
         self.tables, self.places, self._arms, self._links = tables, tuple(places), arms, links
@@ -228,14 +228,14 @@ class CompiledBackend:
 def verify(
     tables: ArmTables,
     places: Sequence[int],
-    arms: Mapping[str, Arm],
+    arms: Mapping[str, Robot],
     links: Sequence[tuple[int, int]],
     quantities: Sequence[str] = EVERY_EVALUATION,
 ) -> None:
     """Compare compiled arms with Pinocchio's.
 
     ``places`` are the numbers of the compiled arms among all ``arms`` of the scene, ``links`` those
-    of :func:`compile_arms`, ``quantities`` fields of :class:`multiarm.arms.terms.LinkTerms`.
+    of :func:`compile_arms`, ``quantities`` fields of :class:`multiarm.robots.terms.LinkTerms`.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def verify(
         _compare(arm, _stacked(computed[k]), expected, floors)
 
 
-def _structure(arm: Arm) -> ArmStructure:
+def _structure(arm: Robot) -> ArmStructure:
     structure = arm.structure()
     depth = most_in_a_row(structure.parents)
     if depth > MOST_JOINTS:
@@ -320,7 +320,7 @@ def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[st
 
 
 def _compare(
-    arm: Arm, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
+    arm: Robot, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
 ) -> None:
     """Raise an error for the first quantity that differs, relative to its largest entry."""
     for name, floor in floors.items():

@@ -1,6 +1,6 @@
-"""Constants and workspace of compiled arms, trees of :mod:`multiarm.arms.chain`.
+"""Constants and workspace of compiled arms, trees of :mod:`multiarm.robots.chain`.
 
-Branches are batched by four (:mod:`multiarm.arms.compiled.branches`), one in each lane of a SIMD
+Branches are batched by four (:mod:`multiarm.robots.compiled.branches`), one in each lane of a SIMD
 pack.  A *block* is as long as the longest of its branches; shorter ones are padded at their
 beginning with joints without motion and mass.  A lane without a branch repeats the first branch of
 its block; what it computes is not used.
@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint
-from multiarm.arms.terms import LinkPose
 from multiarm.contacts.motion import BodyMotion
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.rows import Axes, Number, Pair, Symmetric, Vector, lanes_of, offset_of, width
@@ -33,6 +31,8 @@ from multiarm.jit.structs import (
     count_entries,
     view,
 )
+from multiarm.robots.chain import ChainJoint
+from multiarm.robots.terms import LinkPose
 
 # Arms with more joints between base and a link are left to Pinocchio.
 MOST_JOINTS = 16
@@ -231,7 +231,7 @@ class ArmTables(NamedTuple):
     turns : (4 J,)
         1 for revolute joints, else 0.
     constants : (34 * 4 J,)
-        Of every :class:`multiarm.arms.chain.ChainJoint`, lanes each.
+        Of every :class:`multiarm.robots.chain.ChainJoint`, lanes each.
     bases : (b, 12)
         Positions of the arms' first joints in the world [m], lanes each.
     gravity : (3,)

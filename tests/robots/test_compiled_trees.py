@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_structures import random_parents, random_structure, random_tree
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.compiled import backend as compiled_backend
-from multiarm.arms.compiled.backend import compile_arms, verify
-from multiarm.arms.compiled.branches import branches_of, most_in_a_row
-from multiarm.arms.compiled.reference import pinocchio_terms
-from multiarm.arms.compiled.tables import MOST_JOINTS
-from multiarm.arms.terms import LinkTerms
 from multiarm.errors import ModelError
+from multiarm.robots.compiled import backend as compiled_backend
+from multiarm.robots.compiled.backend import compile_arms, verify
+from multiarm.robots.compiled.branches import branches_of, most_in_a_row
+from multiarm.robots.compiled.reference import pinocchio_terms
+from multiarm.robots.compiled.tables import MOST_JOINTS
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import LinkTerms
 from multiarm.scene import find_robot
 
 FINGERS = ("finger", "gripper")
@@ -36,7 +36,7 @@ ROBOTS = {
 }
 
 
-def robot(key: str, base=None, rotors: float = 0.0) -> Arm:
+def robot(key: str, base=None, rotors: float = 0.0) -> Robot:
     name, locked = ROBOTS[key]
     urdf = find_robot(name).urdf
     model = pin.buildModelFromUrdf(str(urdf))
@@ -47,12 +47,12 @@ def robot(key: str, base=None, rotors: float = 0.0) -> Arm:
     return arm
 
 
-def tree_arm(folder, rng, parents, away=1.0, name="tree") -> Arm:
+def tree_arm(folder, rng, parents, away=1.0, name="tree") -> Robot:
     (folder / f"{name}.urdf").write_text(random_tree(rng, parents))
     return arm_of(folder / f"{name}.urdf", "tip", random_base(rng, away), name=name)
 
 
-def last_links(arm: Arm) -> list[int]:
+def last_links(arm: Robot) -> list[int]:
     """Pinocchio's numbers of the joints after which none follows."""
     return [k for k in range(1, arm.model.njoints) if k not in list(arm.model.parents)]
 

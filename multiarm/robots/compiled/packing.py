@@ -1,6 +1,6 @@
 """Tables of compiled arms: in which lanes, rows of scratch and places their branches and terms are.
 
-What the tables are is said in :mod:`multiarm.arms.compiled.tables`.
+What the tables are is said in :mod:`multiarm.robots.compiled.tables`.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.chain import ChainJoint, chain_joints, joints_at_rest
-from multiarm.arms.compiled.branches import Branch, Group, make_groups
-from multiarm.arms.compiled.tables import (
+from multiarm.contacts.motion import BODY_WIDTH
+from multiarm.jit.rows import fields_of
+from multiarm.jit.simd import LANES, aligned_zeros
+from multiarm.robots.chain import ChainJoint, chain_joints, joints_at_rest
+from multiarm.robots.compiled.branches import Branch, Group, make_groups
+from multiarm.robots.compiled.tables import (
     JACOBIAN_WIDTH,
     ArmTables,
     Blocks,
@@ -24,10 +27,7 @@ from multiarm.arms.compiled.tables import (
     TermOffsets,
     Wanted,
 )
-from multiarm.arms.terms import POSE_WIDTH, ArmStructure
-from multiarm.contacts.motion import BODY_WIDTH
-from multiarm.jit.rows import fields_of
-from multiarm.jit.simd import LANES, aligned_zeros
+from multiarm.robots.terms import POSE_WIDTH, ArmStructure
 
 Pairs = list[tuple[int, int]]
 

@@ -1,7 +1,7 @@
 r"""Matrices of Coriolis forces: ``C`` for which the rate of the inertia is ``C + C^T``.
 
 With :math:`\dot S_j = v_j\times S_j` and :math:`B^c_j` the sum of the matrices B of
-:mod:`multiarm.arms.chain` over all links beyond joint ``j``,
+:mod:`multiarm.robots.chain` over all links beyond joint ``j``,
 
 .. math::
     C_{kj} = S_k\cdot(I^c_j \dot S_j + B^c_j S_j), \qquad
@@ -12,32 +12,6 @@ With :math:`\dot S_j = v_j\times S_j` and :math:`B^c_j` the sum of the matrices 
 
 from __future__ import annotations
 
-from multiarm.arms.chain import (
-    add_scaled_pair,
-    power,
-    times_inertia,
-    twice_turning_matrix,
-    twist_product,
-)
-from multiarm.arms.compiled.kernels import (
-    add_to_parents,
-    copy_lanes,
-    load_joints,
-    move,
-    outwards,
-    transpose_to_arms,
-    zero_vector,
-)
-from multiarm.arms.compiled.tables import (
-    LINK_LANES,
-    LINK_SUMS,
-    TURN_LANES,
-    TURN_SUMS,
-    open_arms,
-    open_frame,
-    open_link,
-    open_turn,
-)
 from multiarm.jit.kernels import cfunc, kernel
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
 from multiarm.jit.structs import struct_at
@@ -50,6 +24,32 @@ from multiarm.jit.vectors import (
     rotate,
     rotate_back,
     scale,
+)
+from multiarm.robots.chain import (
+    add_scaled_pair,
+    power,
+    times_inertia,
+    twice_turning_matrix,
+    twist_product,
+)
+from multiarm.robots.compiled.kernels import (
+    add_to_parents,
+    copy_lanes,
+    load_joints,
+    move,
+    outwards,
+    transpose_to_arms,
+    zero_vector,
+)
+from multiarm.robots.compiled.tables import (
+    LINK_LANES,
+    LINK_SUMS,
+    TURN_LANES,
+    TURN_SUMS,
+    open_arms,
+    open_frame,
+    open_link,
+    open_turn,
 )
 
 

@@ -130,7 +130,7 @@ class ArmState(NamedTuple):
     q, v : (numbers,), (joints,)
         The same as configuration and velocity of Pinocchio.
     bodies : (links, 24)
-        Motion of the links of ``ArmBackends.links``, see
+        Motion of the links of ``Backends.links``, see
         :class:`multiarm.contacts.motion.BodyMotion`.
     """
 

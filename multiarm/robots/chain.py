@@ -38,7 +38,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.arms.terms import ArmStructure
 from multiarm.errors import ModelError
 from multiarm.geometry.screws import skew
 from multiarm.jit.kernels import inlined
@@ -58,6 +57,7 @@ from multiarm.jit.vectors import (
     sub_scaled,
     times,
 )
+from multiarm.robots.terms import ArmStructure
 
 
 class ChainJoint(NamedTuple):

@@ -7,20 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.terms import LinkPose, LinkTerms
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.jit.rows import as_row
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import LinkPose, LinkTerms
 
 
 def pinocchio_terms(
-    arm: Arm, joints: Sequence[int], angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
+    arm: Robot, joints: Sequence[int], angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
 ) -> list[LinkTerms]:
     """Pinocchio's terms at some states, as copies.
 
     Parameters
     ----------
-    arm : Arm
+    arm : Robot
     joints : sequence of int
         Pinocchio's numbers of the joints whose links are ``LinkTerms.bodies``; 0: the base.
     angles, rates : ndarray, shape (k, n)

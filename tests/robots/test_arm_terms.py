@@ -18,15 +18,15 @@ from refusals import refused
 from repository import WORKED
 
 import multiarm as ma
-from multiarm.arms.arm import Arm, ArmFiles
 from multiarm.errors import ModelError
+from multiarm.robots.robot import Robot, RobotFiles
 from multiarm.scene import Pose, find_robot
 
 BASE = Pose(xyz=(0.3, -0.4, 0.5), rpy=(0.2, -0.7, 1.9)).matrix()
 
 
 def arm_of(urdf, tip, locked=None, **more):
-    return Arm("arm", ArmFiles(urdf, (), BASE, {"": tip}, locked or {}, **more))
+    return Robot("arm", RobotFiles(urdf, (), BASE, {"": tip}, locked or {}, **more))
 
 
 @pytest.fixture(
@@ -84,8 +84,8 @@ def test_drift_is_the_tips_acceleration_without_joint_accelerations(moving):
 
 def test_base_placement_moves_the_whole_arm(moving):
     arm, q, _ = moving
-    files = ArmFiles(arm.files.urdf, (), np.eye(4), arm.files.tips, arm.files.locked)
-    at_origin = Arm("arm", files).tip_pose(q)
+    files = RobotFiles(arm.files.urdf, (), np.eye(4), arm.files.tips, arm.files.locked)
+    at_origin = Robot("arm", files).tip_pose(q)
     np.testing.assert_allclose(arm.tip_pose(q), BASE @ at_origin, atol=1e-14)
 
 
@@ -102,8 +102,8 @@ def test_worked_examples_arms_have_the_worked_inertia_and_bias():
     for i in range(2):
         X = np.eye(4)
         X[:3, :3], X[:3, 3] = data["base"][i]["R"], data["base"][i]["p"]
-        files = ArmFiles(find_robot("textbook_6r").urdf, (), X, {"": "tool"}, {})
-        terms = Arm("arm", files).terms(data["q"][i], data["qd"][i])
+        files = RobotFiles(find_robot("textbook_6r").urdf, (), X, {"": "tool"}, {})
+        terms = Robot("arm", files).terms(data["q"][i], data["qd"][i])
         np.testing.assert_allclose(terms.M, expected[f"M{i}"], atol=1e-9)
         np.testing.assert_allclose(terms.bias, expected["nle"][i], atol=1e-7)
         np.testing.assert_allclose(terms.drift, expected["Jdot_qdot_LWA_classical"][i], atol=1e-9)
@@ -135,7 +135,7 @@ def test_a_slide_is_a_mass_on_a_rail(tmp_path):
     """Closed form: one slide along x carries 2.5 kg up its own axis against gravity."""
     path = tmp_path / "chain.urdf"
     path.write_text(chain_urdf("w"))
-    arm = Arm("arm", ArmFiles(path, (), np.eye(4), {"": "tip"}, {}))
+    arm = Robot("arm", RobotFiles(path, (), np.eye(4), {"": "tip"}, {}))
     terms = arm.terms([0.2], [3.0])
     tilt = Pose(rpy=(0.1, 0.2, -0.3)).rotation()[2, 2]  # cosine between the rail and the vertical
     np.testing.assert_allclose(terms.M, [[2.5]])
@@ -211,6 +211,6 @@ def test_two_systems_do_not_share_an_arms_numbers():
 
 
 def test_a_robot_that_pinocchio_cannot_put_together_is_named():
-    files = ArmFiles(find_robot("z1").urdf, (), np.eye(4), {"": "link06"}, {})
+    files = RobotFiles(find_robot("z1").urdf, (), np.eye(4), {"": "link06"}, {})
     with refused(ModelError, "'a'"):
-        Arm("a", files)  # a joint and a link of it have one name
+        Robot("a", files)  # a joint and a link of it have one name

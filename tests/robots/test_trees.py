@@ -15,10 +15,10 @@ from random_structures import (
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
-from multiarm.arms.arm import Arm, ArmFiles
-from multiarm.arms.chain import ChainJoint, chain_joints, require_chain
 from multiarm.errors import ModelError
 from multiarm.jit.rows import fields_of
+from multiarm.robots.chain import ChainJoint, chain_joints, require_chain
+from multiarm.robots.robot import Robot, RobotFiles
 
 GRAVITY = np.array([1.0, -2.0, -9.0])
 
@@ -44,7 +44,7 @@ def test_structure_is_that_of_the_urdf(tmp_path, rng):
     (tmp_path / "tree.urdf").write_text(random_tree(rng, parents))
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = Rotation.random(random_state=rng).as_matrix(), [0.3, -0.1, 2.0]
-    arm = Arm("tree", ArmFiles(tmp_path / "tree.urdf", (), base, {"": "tip"}, {}))
+    arm = Robot("tree", RobotFiles(tmp_path / "tree.urdf", (), base, {"": "tip"}, {}))
     tree, numbers = arm.structure(), [int(name[1:]) - 1 for name in arm.joint_names]
     assert sorted(numbers) == list(range(len(parents)))
     before = [numbers[parent] if parent >= 0 else -1 for parent in tree.parents]

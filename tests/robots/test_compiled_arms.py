@@ -16,18 +16,18 @@ from mechanics import PANDA_FINGERS, chain_urdf
 from random_structures import link_frames, random_structure, random_tree
 from refusals import refused
 
-from multiarm.arms.arm import Arm
-from multiarm.arms.chain import JOINT_WIDTH, ChainJoint
-from multiarm.arms.compiled import backend as compiled_backend
-from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
-from multiarm.arms.compiled.kernels import FAR, write_sines
-from multiarm.arms.compiled.packing import make_tables
-from multiarm.arms.compiled.reference import pinocchio_terms
-from multiarm.arms.compiled.tables import MOST_JOINTS
-from multiarm.arms.terms import ArmStructure, LinkTerms
 from multiarm.contacts.motion import BodyMotion
 from multiarm.errors import ModelError
 from multiarm.jit.rows import fields_of, offset_of
+from multiarm.robots.chain import JOINT_WIDTH, ChainJoint
+from multiarm.robots.compiled import backend as compiled_backend
+from multiarm.robots.compiled.backend import CompiledBackend, compile_arms
+from multiarm.robots.compiled.kernels import FAR, write_sines
+from multiarm.robots.compiled.packing import make_tables
+from multiarm.robots.compiled.reference import pinocchio_terms
+from multiarm.robots.compiled.tables import MOST_JOINTS
+from multiarm.robots.robot import Robot
+from multiarm.robots.terms import ArmStructure, LinkTerms
 from multiarm.scene import available_robots, find_robot, read_urdf
 
 EPS = np.finfo(float).eps
@@ -411,7 +411,7 @@ def joint_of(model: pin.Model, parent: int, joint) -> int:
     return found
 
 
-def unusual(panda, *joints) -> Arm:
+def unusual(panda, *joints) -> Robot:
     """An arm whose model is not one that a URDF describes; pairs of parent and joint."""
     model = pin.Model()
     for parent, joint in joints:
@@ -421,7 +421,7 @@ def unusual(panda, *joints) -> Arm:
     return with_tip_on(panda, model.njoints - 1)
 
 
-def with_tip_on(arm: Arm, joint: int) -> Arm:
+def with_tip_on(arm: Robot, joint: int) -> Robot:
     arm.tips = {"": replace(arm.tip, joint=joint)}
     return arm
 

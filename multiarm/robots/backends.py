@@ -1,9 +1,9 @@
-"""Arm-dynamics backends: what computes the terms of each arm of a system.
+"""Backends: what computes the terms of each robot of a system.
 
 A backend reads positions and velocities of its arms from given arrays and writes inertia, bias,
 Jacobian and the motion of the tip's link at fixed addresses, where kernels find them through a
-table (:mod:`multiarm.arms.terms`).  There are two: Pinocchio, called back in Python, and batched
-RNEA and CRBA in compiled code (:mod:`multiarm.arms.compiled`).  A system may have arms of both.
+table (:mod:`multiarm.robots.terms`).  There are two: Pinocchio, called back in Python, and batched
+RNEA and CRBA in compiled code (:mod:`multiarm.robots.compiled`).  A system may have arms of both.
 
 Of Pinocchio two calls, ``crba`` in the world convention and ``nonLinearEffects``, compute all that
 a group of arms in one model needs.  The kernels read it where Pinocchio keeps it: nothing is
@@ -21,9 +21,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from multiarm.arms.arm import Arm, named_with_prefix
-from multiarm.arms.compiled.backend import CompiledBackend, compile_arms
-from multiarm.arms.terms import (
+from multiarm.errors import ModelError
+from multiarm.jit.pointers import PythonCallback
+from multiarm.jit.rows import fields_of, width
+from multiarm.robots.compiled.backend import CompiledBackend, compile_arms
+from multiarm.robots.robot import Robot, named_with_prefix
+from multiarm.robots.terms import (
     ADDRESSES,
     ArmFunctions,
     ArmState,
@@ -33,21 +36,18 @@ from multiarm.arms.terms import (
     MatrixAddress,
     TermAddresses,
 )
-from multiarm.errors import ModelError
-from multiarm.jit.pointers import PythonCallback
-from multiarm.jit.rows import fields_of, width
 
 # More arms in a model mean fewer calls, but a larger and mostly empty inertia matrix: the cost per
 # arm is flat around eight.
 ARMS_PER_GROUP = 8
 
 
-class ArmBackends:
+class Backends:
     """The arms of one system and the backends that compute their terms.
 
     Parameters
     ----------
-    arms : mapping of str to Arm
+    arms : mapping of str to Robot
     gravity : ndarray, shape (3,)
     with_gravity_torque : bool
         Whether the control needs the gravity torques.
@@ -63,9 +63,9 @@ class ArmBackends:
     links : tuple of (int, int)
         The links that carry tips: robot and Pinocchio's number of the joint that moves them.
     pointers : int64 ndarray, shape (arms, 5)
-        Every :class:`multiarm.arms.terms.TermAddresses`; valid while this lives.
+        Every :class:`multiarm.robots.terms.TermAddresses`; valid while this lives.
     link_pointers : int64 ndarray, shape (links, 3)
-        Every :class:`multiarm.arms.terms.LinkAddresses`; valid while this lives.
+        Every :class:`multiarm.robots.terms.LinkAddresses`; valid while this lives.
     q_slots : int64 ndarray, shape (joints,)
         Index of each joint in Pinocchio's configuration; -1 for those of compiled arms and of
         floating bases.
@@ -77,7 +77,7 @@ class ArmBackends:
 
     def __init__(
         self,
-        arms: Mapping[str, Arm],
+        arms: Mapping[str, Robot],
         gravity: np.ndarray,
         with_gravity_torque: bool,
         compiled: bool = False,
@@ -118,7 +118,7 @@ class ArmBackends:
         self.base_slots = np.array(base_slots, dtype=np.int64)
         self._fill_tables()
 
-    def copy(self) -> ArmBackends:
+    def copy(self) -> Backends:
         """The same arms with their own terms; models and tables are shared."""
         twin = copy(self)
         twin._compiled = None if self._compiled is None else self._compiled.copy()
@@ -141,7 +141,7 @@ class ArmBackends:
         Parameters
         ----------
         angles, rates, q, v, bodies : ndarray
-            See :class:`multiarm.arms.terms.ArmState`.
+            See :class:`multiarm.robots.terms.ArmState`.
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
@@ -236,16 +236,16 @@ class ArmGroup:
     joints, numbers : slice
         Its joints in the stacked vectors, and its part of Pinocchio's configuration.
     q_slots : int64 ndarray
-        As of the ``ArmBackends``, in this part.
+        As of the ``Backends``, in this part.
     base_slots : list of int
         The same of floating bases.
     pointers : int64 ndarray, shape (arms, 5)
-        Rows of ``ArmBackends.pointers``.
+        Rows of ``Backends.pointers``.
     """
 
     def __init__(
         self,
-        arms: list[Arm],
+        arms: list[Robot],
         place: int,
         start: tuple[int, int],
         gravity: np.ndarray,

@@ -1,1 +1,0 @@
-"""Arm dynamics: Pinocchio and compiled copies, (q, v) -> terms of the equations of motion."""
