@@ -12,7 +12,7 @@ from typing import Any
 from multiarm.assembly.joints import contact_rows, joint_frames, scene_joints
 from multiarm.assembly.model import uncontrolled_model, with_control, with_joint_frames
 from multiarm.assembly.paths import joint_path
-from multiarm.assembly.robots import arm_backends, load_robots, with_bases
+from multiarm.assembly.robots import backends_of, load_robots, with_bases
 from multiarm.assembly.start import (
     assembled_start,
     closed_at_start,
@@ -94,7 +94,7 @@ def compile_system(
     robots = load_robots(scene, like, assemble)  # URDF -> arms with tips and limits
     joints = scene_joints(scene, robots, like)  # contact records of every joint
     rows = contact_rows(scene, robots, joints)  # all rows of W, unilateral ones too
-    backends = arm_backends(scene, robots, like)  # Pinocchio or compiled copies
+    backends = backends_of(scene, robots, like)  # Pinocchio or compiled copies
     data = Data(uncontrolled_model(scene, robots, joints, rows, backends))
     written = written_start(scene, robots, rows.layout)
     data = with_contacts_located(data, closed_at_start(data) if assemble else data, written)
@@ -146,7 +146,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
     robots = load_robots(scene, seek=start is None)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)
-    data = Data(uncontrolled_model(scene, robots, joints, rows, arm_backends(scene, robots)))
+    data = Data(uncontrolled_model(scene, robots, joints, rows, backends_of(scene, robots)))
     written = System(scene, data.model, StartReport(), written_start(scene, robots, rows.layout))
     state = written.state(**start or {})
     return System(scene, with_contacts_located(data, data, state).model, StartReport(), state)

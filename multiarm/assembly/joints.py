@@ -164,7 +164,7 @@ def scene_blocks(
     with_rows = {name: {row.joint for row in rows} for name, rows in of_joints.items()}
     if laws is not None:
         with_rows = joints_with_rows(scene, laws)
-    for name, arm in robots.arms.items():
+    for name, arm in robots.by_name.items():
         of_robot = [pair for pair in connections.values() if pair.robot == name]
         blocks += robot_blocks(arm, of_robot, of_joints[name], with_rows[name])
     return blocks
@@ -190,14 +190,14 @@ def _layout(
     of_owners = [block_of.get(name, rows_of_joints.get(name, len(blocks))) for name in owners]
     surroundings = [0] if len(blocks) in of_owners else []
     return Layout(
-        names=tuple(robots.arms),
-        first_joint=_bounds([arm.dof for arm in robots.arms.values()]),
+        names=tuple(robots.by_name),
+        first_joint=_bounds([arm.dof for arm in robots.by_name.values()]),
         first_joint_of_block=_bounds([*(len(block.joints) for block in blocks), *surroundings]),
         owners=tuple(owners),
         first_contact=_bounds([len(records[name]) for name in owners]),
         block_of=tuple(of_owners),
-        bases=tuple(i for i, arm in enumerate(robots.arms.values()) if arm.floats),
-        noun="arms" if all(arm.noun == "arm" for arm in robots.arms.values()) else "robots",
+        floating_robots=tuple(i for i, arm in enumerate(robots.by_name.values()) if arm.floats),
+        noun="arms" if all(arm.noun == "arm" for arm in robots.by_name.values()) else "robots",
     )
 
 
@@ -225,7 +225,7 @@ def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
     """
     of_joints = [Connection(joint.connection, joint.first, joint.second) for joint in scene.joints]
     ordered: dict[str, Connection] = {}
-    for name, arm in robots.arms.items():
+    for name, arm in robots.by_name.items():
         of_robot = [connection for connection in of_joints if connection.robot == name]
         bounds = branch_bounds(arm, of_robot, _rows_of_joints(robots.resolved[name]))
         parts = [
@@ -286,13 +286,13 @@ def _joint_laws(
         return None
     limits = {
         name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))
-        for name, arm in robots.arms.items()
+        for name, arm in robots.by_name.items()
     }
     dry = None
     if "joint_friction" in effects.with_events and effects.joint_friction is not None:
         outlines = {name: arm.joints for name, arm in robots.resolved.items()}
         dry = joint_numbers(effects.joint_friction.torque, outlines, friction_of)
-    of_bases = {name: arm.base_dof for name, arm in robots.arms.items()}
+    of_bases = {name: arm.base_dof for name, arm in robots.by_name.items()}
     return JointLaws(limits, of_joints, dry, of_bases)
 
 

@@ -244,8 +244,8 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
 
     ``size`` is the scene's, if it is known already.
     """
-    contacts = data.arrays.rows.kinematics[:, :3]
-    far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, data.model.bases)))
+    contacts, origins = data.arrays.rows.kinematics[:, :3], data.model.base_origins
+    far = float(max(np.abs(places).max(initial=0.0) for places in (contacts, origins)))
     return 100 * sys.float_info.epsilon * max(far, scene_size(data) if size is None else size)
 
 
@@ -257,14 +257,14 @@ def rows_of_joints(model: Model) -> np.ndarray:
 
 def _places_of_bases(data: Data) -> np.ndarray:
     """Where the robots stand, world axes, of bases that move where they are now, (n, 3) [m]."""
-    model, places = data.model, data.model.bases.copy()
-    for i, arm in enumerate(model.arms.values()):
+    model, places = data.model, data.model.base_origins.copy()
+    for i, arm in enumerate(model.robots.values()):
         positions = data.arrays.state.joint_positions[model.layout.joints_of(i)]
         slides = [j for j, joint in enumerate(arm.files.base_joints) if joint.kind == "prismatic"]
         for j in slides:
             axis = np.array(arm.files.base_joints[j].axis)
             places[i] += arm.files.base[:3, :3] @ axis * positions[j]
-    for i, pose in zip(model.layout.bases, data.arrays.state.base_poses, strict=True):
+    for i, pose in zip(model.layout.floating_robots, data.arrays.state.base_poses, strict=True):
         places[i] = pose[:3]
     return places
 

@@ -17,7 +17,7 @@ from multiarm.assembly.joints import Rows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.control.program import ControlProgram
-from multiarm.dynamics.arrays import COUPLED, Bases, Constants, FreeComponents, TipFrame
+from multiarm.dynamics.arrays import COUPLED, Constants, FloatingBases, FreeComponents, TipFrame
 from multiarm.dynamics.connections import BodyTable, Connection, Connections
 from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
@@ -81,20 +81,20 @@ def uncontrolled_model(
     The free motions of joints are those that their kinds fix; contacts of two surfaces are not
     located yet.
     """
-    arms, layout, unilateral = robots.arms, rows.layout, rows.unilateral
-    outlines = {name: arm.joints for name, arm in robots.resolved.items()}
-    context = BuildContext(scene, arms, layout, outlines)
+    by_name, layout, unilateral = robots.by_name, rows.layout, rows.unilateral
+    outlines = {name: robot.joints for name, robot in robots.resolved.items()}
+    context = BuildContext(scene, by_name, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
     of_robots = {name: on_link for name, on_link in rows.on_links.items() if name != SURROUNDINGS}
     enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
-    bodies = BodyTable(arms, backends.links, layout)
+    bodies = BodyTable(by_name, backends.links, layout)
     connections = bodies.connections(rows.connections)
     guards = reporting_guards(of_robots, limits, layout, connections, effects.watched, enforced)
     return Model(
-        arms=arms,
-        robots=robots.resolved,
+        robots=by_name,
+        resolved_robots=robots.resolved,
         connections=rows.connections,
         joints=dict(joints),
         backends=backends,
@@ -105,8 +105,8 @@ def uncontrolled_model(
         frames=frames,
         constants=_constants(scene, bodies, connections, frames, rows, effects, backends),
         effects=effects,
-        links=tuple(context.links),
-        levers=tuple(_levers(arms, rows.connections, frames, layout)),
+        effect_links=tuple(context.links),
+        levers=tuple(_levers(by_name, rows.connections, frames, layout)),
         functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
@@ -118,7 +118,7 @@ def uncontrolled_model(
 
 def with_joint_frames(model: Model, frames: Mapping[str, JointFrame]) -> Model:
     """The same model with other free motions of its joints."""
-    bodies = BodyTable(model.arms, model.backends.links, model.layout)
+    bodies = BodyTable(model.robots, model.backends.links, model.layout)
     of_frames = _frame_constants(bodies, model.layout.owners, model.connections, frames)
     constants = model.constants._replace(**of_frames)
     return replace(model, frames=dict(frames), constants=constants)
@@ -147,19 +147,19 @@ def with_control(model: Model, control: ControlProgram) -> Model:
 
 
 def _levers(
-    arms: Mapping[str, Robot],
+    robots: Mapping[str, Robot],
     connections: Mapping[str, Connection],
     frames: Mapping[str, JointFrame],
     layout: Layout,
 ) -> list[np.ndarray]:
     """Longest lever of every joint of each block on the contacts of its connections [m]."""
-    levers = {name: [np.zeros(arm.dof)] for name, arm in arms.items()}
+    levers = {name: [np.zeros(robot.dof)] for name, robot in robots.items()}
     for name, pair in connections.items():
         ends = (pair.first, frames[name].on_tip), (pair.second, frames[name].on_object)
         for body, frame in ends:
             if body.robot:
-                arm = arms[body.robot]
-                levers[body.robot].append(arm.levers(frame[:3, 3], body.tip))
+                robot = robots[body.robot]
+                levers[body.robot].append(robot.levers(frame[:3, 3], body.tip))
     longest = np.concatenate([np.max(of_robot, axis=0) for of_robot in levers.values()])
     longest = np.where(longest > 0.0, longest, 1.0)
     return [longest[layout.joints_of_block(i)] for i in range(layout.block_count)]
@@ -176,9 +176,9 @@ def _constants(
 ) -> Constants:
     return Constants(
         q_slots=backends.q_slots,
-        circular=_circular(bodies.arms),
+        circular=_circular(bodies.robots),
         first_joint=np.array(rows.layout.first_joint, dtype=np.int64),
-        bases=_bases(rows.layout, backends),
+        floating_bases=_floating_bases(rows.layout, backends),
         links=bodies.links(),
         connections=connections,
         object_mass=float(scene.object.mass),
@@ -196,17 +196,17 @@ def _constants(
     )
 
 
-def _bases(layout: Layout, backends: Backends) -> Bases:
-    """``Constants.bases``."""
-    blocks = [layout.blocks_of(i)[0] for i in layout.bases]
-    robots = np.array(layout.bases, dtype=np.int64)
-    return Bases(robots, np.array(blocks, dtype=np.int64), backends.base_slots)
+def _floating_bases(layout: Layout, backends: Backends) -> FloatingBases:
+    """``Constants.floating_bases``."""
+    blocks = [layout.blocks_of(i)[0] for i in layout.floating_robots]
+    robots = np.array(layout.floating_robots, dtype=np.int64)
+    return FloatingBases(robots, np.array(blocks, dtype=np.int64), backends.base_slots)
 
 
-def _circular(arms: Mapping[str, Robot]) -> np.ndarray:
+def _circular(robots: Mapping[str, Robot]) -> np.ndarray:
     """``Constants.circular``."""
-    bases = {name: np.zeros(arm.base_dof) for name, arm in arms.items()}
-    parts = [np.append(bases[name], arm.circular) for name, arm in arms.items()]
+    bases = {name: np.zeros(robot.base_dof) for name, robot in robots.items()}
+    parts = [np.append(bases[name], robot.circular) for name, robot in robots.items()]
     return np.concatenate(parts).astype(np.int64)
 
 

@@ -111,7 +111,7 @@ def _rigid_connections(data: Data, start: State) -> set[str]:
     require_ok(data, update_kinematics(data.struct))
     directions = force_directions(data)
     for i, robot in enumerate(layout.names):
-        arm, columns = model.arms[robot], layout.of_robot(i)
+        arm, columns = model.robots[robot], layout.of_robot(i)
         rows = {
             layout.owners[c]: directions[columns, layout.contacts_of(c)].T
             for c in layout.owners_of_robot(i)
@@ -230,7 +230,7 @@ def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:
         ((owner, float(np.max(gap, initial=0.0))) for owner, gap in gaps.items()),
         key=lambda worst: worst[1],
     )
-    noun = "arm" if owner in data.model.arms else "joint"
+    noun = "arm" if owner in data.model.robots else "joint"
     return ControlError(
         f"control.path: on the way to waypoint {segment} the arms cannot follow the object beyond "
         f"{100 * part:.0f} % ({noun} '{owner}' is {gap:.3g} m off); choose a nearer pose or other "

@@ -31,12 +31,12 @@ from multiarm.scene.joint_values import SOLVE
 
 @dataclass(frozen=True)
 class Robots:
-    """The arms of a scene."""
+    """The robots of a scene."""
 
     resolved: dict[str, ResolvedRobot]
-    arms: dict[str, Robot]
+    by_name: dict[str, Robot]
     postures: dict[str, np.ndarray]  # (n,) [rad, m] at the start: found, or as written
-    shared: tuple[str, ...]  # arms that another system has too
+    shared: tuple[str, ...]  # robots that another system has too
 
     def pose(self, scene: Scene, body: BodyName) -> np.ndarray:
         """Pose of a body's frame at the start as written, of a link that of its tip, (4, 4)."""
@@ -44,13 +44,13 @@ class Robots:
             return scene.object.pose.matrix()
         if not body.is_link:
             return np.eye(4)
-        return self.arms[body.robot].tip_pose(self.postures[body.robot], body.tip)
+        return self.by_name[body.robot].tip_pose(self.postures[body.robot], body.tip)
 
     def placement(self, body: BodyName) -> Placement | None:
         """Of a tip on the joint that carries it: rotation, translation; None of another body."""
         if not body.is_link:
             return None
-        tip = self.arms[body.robot].tips[body.tip]
+        tip = self.by_name[body.robot].tips[body.tip]
         return tip.rotation, tip.translation
 
 
@@ -67,7 +67,7 @@ def with_bases(scene: Scene) -> Scene:
     arms, standing = {}, {}
     for name, spec in scene.arms.items():
         resolved = resolve_arm(spec, scene.folder)
-        arm = _make_arm(name, scene, resolved)
+        arm = _make_robot(name, scene, resolved)
         if spec.open_base:
             arms[name] = arm
         elif spec.posture not in (None, SOLVE):
@@ -96,17 +96,17 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             if like.scene.robots.get(name) == spec
             and like.scene.links_in_joints(name) == scene.links_in_joints(name)
         )
-    resolved, arms = {}, {}
+    resolved, robots = {}, {}
     for name in (*scene.arms, *scene.robots):
         if like is not None and name in shared:
-            resolved[name], arms[name] = like.model.robots[name], like.arms[name]
+            resolved[name], robots[name] = like.model.resolved_robots[name], like.model.robots[name]
         else:
             resolved[name] = _resolved(scene, name)
-            arms[name] = _make_arm(name, scene, resolved[name])
-    postures = {name: arm.posture for name, arm in resolved.items()}
+            robots[name] = _make_robot(name, scene, resolved[name])
+    postures = {name: robot.posture for name, robot in resolved.items()}
     if seek:
-        postures |= find_postures(scene, arms, resolved)
-    return Robots(resolved, arms, postures, shared)
+        postures |= find_postures(scene, robots, resolved)
+    return Robots(resolved, robots, postures, shared)
 
 
 def _resolved(scene: Scene, name: str) -> ResolvedRobot:
@@ -118,20 +118,20 @@ def _resolved(scene: Scene, name: str) -> ResolvedRobot:
     return resolve_arm(locked, scene.folder)
 
 
-def arm_backends(scene: Scene, robots: Robots, like: System | None = None) -> Backends:
-    """Backends of the arm dynamics; shared where ``like`` has equal arms."""
+def backends_of(scene: Scene, robots: Robots, like: System | None = None) -> Backends:
+    """Backends of the dynamics; shared where ``like`` has equal robots."""
     gravity, with_torque = gravity_of(scene), needs_gravity_torque(scene)
     names = [*scene.arms, *scene.robots]
-    if like is not None and list(robots.shared) == names == list(like.arms):
+    if like is not None and list(robots.shared) == names == list(like.model.robots):
         same_gravity = scene.gravity == like.scene.gravity
         same_backends = scene.run.arms == like.scene.run.arms
         same_terms = with_torque == needs_gravity_torque(like.scene)
         if same_gravity and same_backends and same_terms:
             return like.model.backends
-    return Backends(robots.arms, gravity, with_torque, scene.run.arms == "compiled")
+    return Backends(robots.by_name, gravity, with_torque, scene.run.arms == "compiled")
 
 
-def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> RobotFiles:
+def robot_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> RobotFiles:
     """Files and frames of an arm or a robot of a scene."""
     tool = spec.tool if isinstance(spec, ArmSpec) else None
     return RobotFiles(
@@ -152,7 +152,7 @@ def arm_files(spec: ArmSpec | RobotSpec, resolved: ResolvedRobot) -> RobotFiles:
     )
 
 
-def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Robot:
+def _make_robot(name: str, scene: Scene, resolved: ResolvedRobot) -> Robot:
     spec = scene.robots[name] if name in scene.robots else scene.arms[name]
     rotors = scene.effects.rotor_inertia
     inertia = None
@@ -160,13 +160,13 @@ def _make_arm(name: str, scene: Scene, resolved: ResolvedRobot) -> Robot:
         from multiarm.effects.rotor_inertia import of_arm
 
         inertia = of_arm(rotors, name, resolved.joint_names)
-    arm = Robot(name, arm_files(spec, resolved), spec.color, inertia)
-    if arm.joint_names != resolved.joint_names:
+    robot = Robot(name, robot_files(spec, resolved), spec.color, inertia)
+    if robot.joint_names != resolved.joint_names:
         raise ModelError(
-            f"{arm.text}: Pinocchio orders its joints {arm.joint_names}, the URDF's order is "
+            f"{robot.text}: Pinocchio orders its joints {robot.joint_names}, the URDF's order is "
             f"{resolved.joint_names}; give them names in order"
         )
-    return arm
+    return robot
 
 
 def gravity_of(scene: Scene) -> np.ndarray:

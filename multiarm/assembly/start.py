@@ -142,7 +142,7 @@ def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
         state.joint_positions[name][:] = robots.postures[name]
         state.joint_velocities[name][:] = robot.velocity
     for name, base in state.bases.items():
-        base.pose[:] = robots.arms[name].base_pose
+        base.pose[:] = robots.by_name[name].base_pose
         written = scene.robots[name].base.twist
         base.twist[:] = np.zeros(6) if written is None else written
     return state
@@ -343,7 +343,7 @@ def _changes(
     """
     joints = layout.split_joints(layout.joint_rates(change))
     of_joints = {robot: float(np.max(np.abs(v))) for robot, v in joints.items() if v.size}
-    names = [layout.names[i] for i in layout.bases]
+    names = [layout.names[i] for i in layout.floating_robots]
     twists = dict(zip(names, layout.base_twists(change), strict=True))
     linear = {robot: float(np.linalg.norm(twist[:3])) for robot, twist in twists.items()}
     angular = {robot: float(np.linalg.norm(twist[3:])) for robot, twist in twists.items()}

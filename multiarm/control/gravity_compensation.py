@@ -212,7 +212,7 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     require_ok(data, update_kinematics(data.struct))
     b.control.gravity_torque[:] = np.concatenate(
         [
-            data.model.arms[arm].gravity_torque(angles, gravity)
+            data.model.robots[arm].gravity_torque(angles, gravity)
             for arm, angles in state.joint_positions.items()
         ]
     )

@@ -48,7 +48,7 @@ class ControlContext:
     @property
     def arms(self) -> dict[str, Robot]:
         """The arms by name, in the order of the stacked vectors."""
-        return self.data.model.arms
+        return self.data.model.robots
 
     @property
     def joint_names(self) -> list[str]:

@@ -107,7 +107,7 @@ def _require_pressing(data: Data, W_o: np.ndarray, of_connections: np.ndarray) -
 
 def joint_text(model: Model, connection: str) -> str:
     """A connection in a message."""
-    arm = connection in model.arms
+    arm = connection in model.robots
     return f"the joint of arm '{connection}'" if arm else f"the joint '{connection}'"
 
 

@@ -73,7 +73,7 @@ class FreeComponents(NamedTuple):
     coordinate: Ints1  # (m,) its coordinate among those of the relative motion
 
 
-class Bases(NamedTuple):
+class FloatingBases(NamedTuple):
     """The B floating bases of robots."""
 
     robot: Ints1  # (B,)
@@ -99,7 +99,7 @@ class Constants(NamedTuple):
     q_slots: Ints1
     circular: Ints1
     first_joint: Ints1  # (R + 1,) of each robot; last the number of all joints
-    bases: Bases
+    floating_bases: FloatingBases
     contacts: ContactTable  # geometry on links is in the frame of the joint that moves the link
     links: Links
     connections: Connections  # the C owners of rows

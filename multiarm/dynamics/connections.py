@@ -69,16 +69,16 @@ class BodyTable:
 
     Parameters
     ----------
-    arms : mapping of str to Robot
+    robots : mapping of str to Robot
     links : sequence of (int, int)
         See ``Backends.links``.
     layout : Layout
     """
 
     def __init__(
-        self, arms: Mapping[str, Robot], links: Sequence[tuple[int, int]], layout: Layout
+        self, robots: Mapping[str, Robot], links: Sequence[tuple[int, int]], layout: Layout
     ) -> None:
-        self.arms, self._robots, self._links = arms, list(arms), list(links)
+        self.robots, self._names, self._links = robots, list(robots), list(links)
         self._layout = layout
 
     @property
@@ -90,12 +90,12 @@ class BodyTable:
         """Place of a body among all."""
         if body.is_link:
             joint = self.tip(body).joint
-            return self._links.index((self._robots.index(body.robot), joint))
+            return self._links.index((self._names.index(body.robot), joint))
         return len(self._links) + (0 if body == OBJECT else 1)
 
     def tip(self, body: BodyName) -> Tip:
         """The tip of a link; a frame at rest for another body."""
-        return self.arms[body.robot].tips[body.tip] if body.is_link else AT_REST
+        return self.robots[body.robot].tips[body.tip] if body.is_link else AT_REST
 
     def placement(self, body: BodyName) -> Placement:
         """The frame of a body's tip in that of the joint that moves it."""
@@ -107,9 +107,9 @@ class BodyTable:
         layout, count = self._layout, len(self._links)
         chains = np.zeros((count, max(layout.joint_counts)), dtype=np.int64)
         block, length = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
-        arms = list(self.arms.values())
+        robots = list(self.robots.values())
         for k, (robot, joint) in enumerate(self._links):
-            chain = next(t.chain for t in arms[robot].tips.values() if t.joint == joint)
+            chain = next(t.chain for t in robots[robot].tips.values() if t.joint == joint)
             block[k], chain = layout.chain_in_block(robot, chain)
             chains[k, : chain.size], length[k] = chain, chain.size
         return Links(block, chains, length)

@@ -244,7 +244,7 @@ def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndar
         X[:3, 3], twist = state.object_position, state.object_twist
     if body.is_link:
         robot, positions, rates = body.robot, state.joint_positions, state.joint_velocities
-        base, arm = state.bases.get(robot), model.arms[robot]
+        base, arm = state.bases.get(robot), model.robots[robot]
         tip = arm.tip_kinematics(positions[robot], rates[robot], body.tip, base)
         X[:3, :3], X[:3, 3], twist = tip.rotation, tip.position, tip.twist
     return X, twist

@@ -95,7 +95,7 @@ def retract_pose(at, by, start, step, displacement, configuration):
 def retract(layout: Layout, start: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """``start (+) displacement``, a new configuration."""
     configuration = np.empty_like(start)
-    retract_into(layout.frames, bases_of(layout), start, 1.0, displacement, configuration)
+    retract_into(layout.frames, floating_bases(layout), start, 1.0, displacement, configuration)
     return configuration
 
 
@@ -111,7 +111,7 @@ def difference(layout: Layout, start: np.ndarray, end: np.ndarray) -> np.ndarray
     return displacement
 
 
-def bases_of(layout: Layout) -> np.ndarray:
+def floating_bases(layout: Layout) -> np.ndarray:
     """The first number of each floating base, as kernels have them, int64 (B,)."""
     return np.array(layout.first_of_bases, dtype=np.int64)
 
@@ -242,7 +242,7 @@ def load_chart(z, base, data):
     """Write the state of a chart into the data, without the works."""
     places = chart_places(data)
     state = data.state
-    read_chart(state.poses.shape[0], state.bases, z, base, state.configuration)
+    read_chart(state.poses.shape[0], state.floating_bases, z, base, state.configuration)
     for k in range(data.state.velocity.size):
         data.state.velocity[k] = z[places.velocity + k]
     for k in range(data.effects.states.size):
@@ -257,7 +257,7 @@ def write_new_chart(data, base, z):
             z[6 * f + 3 + k] = 0.0
         for k in range(3, 7):
             base[7 * f + k] = data.state.poses[f, k]
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         for k in range(3, 7):
             base[7 * (data.state.poses.shape[0] + b) + k] = data.state.base_poses[b, k]
     write_all_but_turns(data, z)
@@ -272,11 +272,11 @@ def write_chart(data, base, z):
             z[6 * f + 3 + k] = turn[k]
     write_all_but_turns(data, z)
     frames, places = data.state.poses.shape[0], chart_places(data)
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         before = base[7 * (frames + b) + 3 : 7 * (frames + b) + 7]
         turn = rotation_between(before, data.state.base_poses[b, 3:7])
         for k in range(3):
-            z[places.joints + data.state.bases[b] + 3 + k] = turn[k]
+            z[places.joints + data.state.floating_bases[b] + 3 + k] = turn[k]
 
 
 @plain
@@ -291,9 +291,9 @@ def write_all_but_turns(data, z):
             z[6 * f + k] = data.state.poses[f, k]
     for j in range(data.state.joint_positions.size):
         z[places.joints + j] = data.state.joint_positions[j]
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         for k in range(3):
-            z[places.joints + data.state.bases[b] + k] = data.state.base_poses[b, k]
+            z[places.joints + data.state.floating_bases[b] + k] = data.state.base_poses[b, k]
     for k in range(data.state.velocity.size):
         z[places.velocity + k] = data.state.velocity[k]
     for k in range(data.effects.states.size):
@@ -315,8 +315,9 @@ def write_chart_slope(z, data, slope):
         )
     for j in range(data.state.joint_rates.size):
         slope[places.joints + j] = data.state.joint_rates[j]
-    for b in range(data.state.bases.size):
-        at, first = places.joints + data.state.bases[b] + 3, data.state.bases[b] + 3
+    for b in range(data.state.floating_bases.size):
+        first = data.state.floating_bases[b] + 3
+        at = places.joints + first
         omega = data.state.joint_rates[first : first + 3]
         write_chart_rate(z[at : at + 3], omega, slope[at : at + 3])
     for k in range(data.accelerations.a.size):

@@ -109,7 +109,7 @@ class SharedData:
         pointers = Pointers(
             terms=self._term_addresses(layout),
             links=self._backends.link_pointers,
-            poses=[self._backends.pose_address(*link) for link in model.links],
+            poses=[self._backends.pose_address(*link) for link in model.effect_links],
         )
         self.arrays = v = make_variables(sizes, pointers)
         v.control.sampling.mode = mode_of_samples(model)

@@ -268,7 +268,7 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
     None too where the base floats: what moves with it is not said in terms of joints.
     """
     layout, pair = data.model.layout, data.model.connections[connection]
-    i, arm = layout.names.index(pair.robot), data.model.arms[pair.robot]
+    i, arm = layout.names.index(pair.robot), data.model.robots[pair.robot]
     if arm.floats:
         return None
     d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))

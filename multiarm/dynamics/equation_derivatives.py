@@ -190,7 +190,7 @@ def equation_work(
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
         require_no_floating_base(data.model, "there are no derivatives by its pose yet")
-        structures = structures_of_blocks(data.model.arms.values(), data.model.layout)
+        structures = structures_of_blocks(data.model.robots.values(), data.model.layout)
         links = arm_links(structures, data.model.constants.gravity)
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))

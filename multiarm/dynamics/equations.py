@@ -169,9 +169,9 @@ def right_hand_sides(address, size, alpha, beta):
 @inlined
 def clear_torques_of_bases(data):
     """Floating bases have no drives, whatever a law writes."""
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         for k in range(6):
-            data.control.torque[data.state.bases[b] + k] = 0.0
+            data.control.torque[data.state.floating_bases[b] + k] = 0.0
 
 
 @inlined

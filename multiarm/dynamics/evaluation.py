@@ -479,7 +479,7 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
         joint_accelerations=layout.split_joints(a_j),
         base_accelerations={
             layout.names[i]: a_j[first : first + TWIST]
-            for i, first in zip(layout.bases, layout.first_of_bases, strict=True)
+            for i, first in zip(layout.floating_robots, layout.first_of_bases, strict=True)
         },
         joint_torques=layout.split_joints(torques),
         control_power=dict(zip(layout.names, powers, strict=False)),

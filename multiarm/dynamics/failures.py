@@ -77,7 +77,7 @@ def failure_text(data: Data, status: int) -> str:
 
 def arm_inertia_text(model: Model, robot: str) -> str:
     """Why the inertia matrix of a robot has no factors, and what to do."""
-    arm = model.arms[robot]
+    arm = model.robots[robot]
     base = ""
     if arm.files.base_joints or arm.files.base_floats:
         base = ", or give the base its own with `base: {mass: ..., inertia: ...}`"
@@ -99,7 +99,7 @@ def owner_of(model: Model, name: str) -> str:
     if name in model.connections:
         noun = "arm" if is_tip_of_arm(model.connections[name]) else "connection"
         return f"{noun} '{name}'"
-    return model.arms[name].text
+    return model.robots[name].text
 
 
 def joint_of(model: Model, connection: str) -> str:

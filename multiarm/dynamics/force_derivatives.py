@@ -493,7 +493,7 @@ def displace(struct, differences, column, offset, direction, moves, start, data)
     if column >= at.states:
         return status
     frames = data.state.poses.shape[0]
-    bases, moved = data.state.bases, data.state.configuration
+    bases, moved = data.state.floating_bases, data.state.configuration
     retract_into(frames, bases, start.configuration, offset, direction, moved)
     for l in range(start.velocity.size):
         data.state.velocity[l] = start.velocity[l] + offset * direction[places.velocity + l]

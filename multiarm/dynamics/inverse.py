@@ -170,7 +170,7 @@ def _solve(
             )
         torque[d] = M @ a_j[d] - free[d] - W @ force[r]
     if missed:
-        key = "arm" if set(data.model.connections) == set(data.model.arms) else "connection"
+        key = "arm" if set(data.model.connections) == set(data.model.robots) else "connection"
         raise SolverError(
             "the wanted motion is not possible: " + "; ".join(missed) + "; leave the relative "
             f"motion of such an arm free (`relative_acceleration={{{key}: None}}`), or ask for "
@@ -186,7 +186,7 @@ def _solve(
 
 
 def _noun(model: Model, robot: str) -> str:
-    return "arm" if "" in model.arms[robot].tips else "robot"
+    return "arm" if "" in model.robots[robot].tips else "robot"
 
 
 def _missed_by_the_object(data: Data, c: np.ndarray, desired: np.ndarray) -> list[str]:
@@ -237,10 +237,10 @@ def _frame(
     model: Model, body: BodyName, robot: str, ev: Evaluation, object_acceleration: np.ndarray
 ) -> _Frame:
     state = ev.state
-    still = np.zeros((6, model.arms[robot].dof))
+    still = np.zeros((6, model.robots[robot].dof))
     if body.is_link:
         rates = state.joint_velocities[robot]
-        tip = model.arms[robot].terms(state.joint_positions[robot], rates, body.tip)
+        tip = model.robots[robot].terms(state.joint_positions[robot], rates, body.tip)
         return _Frame(tip.tip_rotation, tip.tip_twist, tip.J, tip.drift)
     if body == OBJECT:
         R = quaternion_to_matrix(state.object_quaternion_xyzw)
@@ -329,7 +329,9 @@ def _relative_accelerations(
 ) -> dict[str, np.ndarray | None]:
     """The desired rates of ``alpha`` of every connection of a robot; None: undetermined."""
     key, of_robots = "relative_acceleration", [n for n, c in model.connections.items() if c.robot]
-    _require_known(key, wanted, of_robots, "arm" if of_robots == list(model.arms) else "connection")
+    _require_known(
+        key, wanted, of_robots, "arm" if of_robots == list(model.robots) else "connection"
+    )
     rates: dict[str, np.ndarray | None] = {}
     for name in of_robots:
         frame = model.frames[name]
@@ -341,11 +343,11 @@ def _relative_accelerations(
 
 
 def _posture_accelerations(model: Model, wanted: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    arms_alone = all(_noun(model, name) == "arm" for name in model.arms)
-    _require_known("posture_acceleration", wanted, model.arms, "arm" if arms_alone else "robot")
+    arms_alone = all(_noun(model, name) == "arm" for name in model.robots)
+    _require_known("posture_acceleration", wanted, model.robots, "arm" if arms_alone else "robot")
     return {
         name: checked_vector(f"posture_acceleration[{name!r}]", wanted.get(name, np.zeros(n)), n)
-        for name, n in ((name, arm.dof) for name, arm in model.arms.items())
+        for name, n in ((name, arm.dof) for name, arm in model.robots.items())
     }
 
 

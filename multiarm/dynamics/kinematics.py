@@ -55,11 +55,11 @@ def fill_configuration(model, data):
             data.bodies.pinocchio_configuration[slot + 1] = np.sin(data.state.joint_positions[j])
         else:
             data.bodies.pinocchio_configuration[slot] = data.state.joint_positions[j]
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         for k in range(7):
-            slot = model.bases.slot[b] + k
+            slot = model.floating_bases.slot[b] + k
             data.bodies.pinocchio_configuration[slot] = data.state.base_poses[b, k]
-    if data.state.bases.size > 0:
+    if data.state.floating_bases.size > 0:
         fill_velocity(data)
 
 
@@ -68,12 +68,12 @@ def fill_velocity(data):
     """Write Pinocchio's velocity, where there are floating bases."""
     rates, v = data.state.joint_rates, data.bodies.pinocchio_velocity
     copy(rates, v)
-    for b in range(data.state.bases.size):
+    for b in range(data.state.floating_bases.size):
         (x, y, z), omega = (
             rotation_of(data.state.base_poses[b, 3:7]),
-            vec(rates, data.state.bases[b] + 3),
+            vec(rates, data.state.floating_bases[b] + 3),
         )
-        put(v, data.state.bases[b] + 3, (dot(x, omega), dot(y, omega), dot(z, omega)))
+        put(v, data.state.floating_bases[b] + 3, (dot(x, omega), dot(y, omega), dot(z, omega)))
 
 
 @kernel
@@ -85,7 +85,7 @@ def turn_base_terms(b, model, data, work):
     the inertia and entries of the bias are turned by R, and columns of the Jacobian by
     :math:`R^T` from the right.  Of the symmetric inertia the lower triangle is filled.
     """
-    i, R = model.bases.block[b], rotation_of(data.state.base_poses[b, 3:7])
+    i, R = model.floating_bases.block[b], rotation_of(data.state.base_poses[b, 3:7])
     d = work.first_joint[i + 1] - work.first_joint[i]
     addresses = open_addresses(data.bodies.pointers[i])
     stride = addresses.stride
@@ -113,7 +113,7 @@ def arm_terms(model, data, work):
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)
-        for b in range(data.state.bases.size):
+        for b in range(data.state.floating_bases.size):
             turn_base_terms(b, model, data, work)
     for l in range(data.bodies.link_pointers.shape[0]):
         addresses = open_link_addresses(data.bodies.link_pointers[l])

@@ -114,7 +114,7 @@ class Layout:
         The block of each owner.
     frames : int
         Floating frames, without the bases of robots.
-    bases : tuple of int
+    floating_robots : tuple of int
         Robots whose base floats: their first six joints are the base's displacement and twist.
     noun : str
         What the robots are called together: ``arms``, or ``robots`` where one names its tips.
@@ -127,7 +127,7 @@ class Layout:
     first_contact: tuple[int, ...]
     block_of: tuple[int, ...]
     frames: int = 1
-    bases: tuple[int, ...] = ()
+    floating_robots: tuple[int, ...] = ()
     noun: str = "arms"
 
     def __str__(self) -> str:
@@ -146,7 +146,7 @@ class Layout:
     @property
     def tree_joint_count(self) -> int:
         """Number of joints of all robots, without floating bases."""
-        return self.joints - TWIST * len(self.bases)
+        return self.joints - TWIST * len(self.floating_robots)
 
     @property
     def contacts(self) -> int:
@@ -161,7 +161,7 @@ class Layout:
     @property
     def _first_position(self) -> int:
         """Where joint positions begin in a configuration."""
-        return 7 * (self.frames + len(self.bases))
+        return 7 * (self.frames + len(self.floating_robots))
 
     @property
     def nv(self) -> int:
@@ -288,8 +288,8 @@ class Layout:
 
     def same_joints(self, layout: Layout) -> bool:
         """Whether frames and joints are the same; the contacts may differ."""
-        joints = layout.names, layout.first_joint, layout.frames, layout.bases
-        return (self.names, self.first_joint, self.frames, self.bases) == joints
+        joints = layout.names, layout.first_joint, layout.frames, layout.floating_robots
+        return (self.names, self.first_joint, self.frames, self.floating_robots) == joints
 
     # --- parts of configurations and velocities -------------------------------------------------
 
@@ -310,7 +310,7 @@ class Layout:
     def base_poses(self, configuration: np.ndarray) -> np.ndarray:
         """Poses of the floating bases, as those of the frames; a view, shape (..., B, 7)."""
         of_bases = configuration[..., 7 * self.frames : self._first_position]
-        return of_bases.reshape(*configuration.shape[:-1], len(self.bases), 7)
+        return of_bases.reshape(*configuration.shape[:-1], len(self.floating_robots), 7)
 
     def base_twists(self, velocity: np.ndarray) -> list[np.ndarray]:
         """What a vector like a velocity has of each floating base: views, shape (..., 6)."""
@@ -320,7 +320,7 @@ class Layout:
     @property
     def first_of_bases(self) -> list[int]:
         """First of the six joints of each floating base."""
-        return [self.first_joint[i] for i in self.bases]
+        return [self.first_joint[i] for i in self.floating_robots]
 
     def twists(self, velocity: np.ndarray) -> np.ndarray:
         """What a vector like a velocity has of the frames; a view, shape (..., F, 6)."""
@@ -363,7 +363,7 @@ class Layout:
 
     def tree_joints(self, i: int) -> slice:
         """Joints of a robot among all joints, without the six of a floating base."""
-        first = self.first_joint[i] + (TWIST if i in self.bases else 0)
+        first = self.first_joint[i] + (TWIST if i in self.floating_robots else 0)
         return slice(first, self.first_joint[i + 1])
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:

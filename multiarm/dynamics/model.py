@@ -60,11 +60,11 @@ class ControlSpan:
 class Model:
     """Constants of a compiled scene."""
 
-    arms: dict[str, Robot]  # the robots
-    robots: dict[str, ResolvedRobot]  # their files and starts
+    robots: dict[str, Robot]
+    resolved_robots: dict[str, ResolvedRobot]  # their files and starts
     connections: dict[str, Connection]  # of bodies, by name: the joints of the scene
     joints: dict[str, Joint]  # of the connections
-    backends: Backends  # they compute the terms of the arms; every Data takes a copy
+    backends: Backends  # they compute the terms of the robots; every Data takes a copy
     layout: Layout
     # of each owner of rows but the surroundings; the first body's geometry in its tip frame
     contacts: dict[str, list[Contact]]
@@ -74,7 +74,9 @@ class Model:
     frames: dict[str, JointFrame]  # each connection's frame on both bodies, its free motions
     constants: Constants  # for kernels
     effects: EffectProgram
-    links: tuple[tuple[int, int], ...]  # arm and joint of every link that an effect acts on
+    effect_links: tuple[
+        tuple[int, int], ...
+    ]  # robot and joint of every link that an effect acts on
     levers: tuple[np.ndarray, ...]  # ``NodeWork.levers`` of each block
     # the compiled functions in ``Functions``; the lazy ones are compiled at their first call
     functions: Mapping[str, Kernel]
@@ -107,9 +109,9 @@ class Model:
         return self.layout.names
 
     @cached_property
-    def bases(self) -> np.ndarray:
-        """Where the arms stand, world axes, shape (n, 3) [m]."""
-        return np.array([arm.files.base[:3, 3] for arm in self.arms.values()])
+    def base_origins(self) -> np.ndarray:
+        """Where the robots stand, world axes, shape (n, 3) [m]."""
+        return np.array([robot.files.base[:3, 3] for robot in self.robots.values()])
 
     @property
     def calls_user(self) -> bool:
@@ -166,7 +168,7 @@ class Model:
     def tip_of(self, connection: str) -> Tip:
         """The tip that is a connection's first body; a frame at rest where that is the world."""
         body = self.connections[connection].first
-        return self.arms[body.robot].tips[body.tip] if body.robot else AT_REST
+        return self.robots[body.robot].tips[body.tip] if body.robot else AT_REST
 
     def frames_on_bodies(self, connection: str) -> FrameRow:
         """A connection's frame on its first and its second body, in the frames of these bodies.
@@ -179,28 +181,28 @@ class Model:
     def joint_name(self, joint: int) -> str:
         """Name of a joint, given by its index in the stacked vectors."""
         i = self.layout.robot_of_joint(joint)
-        return self.arms[self.arm_names[i]].velocity_names[joint - self.layout.first_joint[i]]
+        return self.robots[self.arm_names[i]].velocity_names[joint - self.layout.first_joint[i]]
 
     @property
     def joint_names(self) -> list[str]:
-        """All joints as ``arm/joint``, in the order of the stacked vectors.
+        """All joints as ``robot/joint``, in the order of the stacked vectors.
 
         The six of a floating base have names of their own.
         """
-        arms = self.arms.items()
-        return [f"{name}/{joint}" for name, arm in arms for joint in arm.velocity_names]
+        robots = self.robots.items()
+        return [f"{name}/{joint}" for name, robot in robots for joint in robot.velocity_names]
 
     @property
     def joint_units(self) -> list[str]:
         """Unit of every joint's coordinate, ``"rad"`` or ``"m"``."""
-        return [unit for arm in self.arms.values() for unit in arm.velocity_units]
+        return [unit for robot in self.robots.values() for unit in robot.velocity_units]
 
     @cached_property
     def position_limits(self) -> np.ndarray:
         """Ends of the range of every joint in the stacked vectors, shape (n, 2) [rad, m]."""
         limits = np.full((self.layout.joints, 2), [-np.inf, np.inf])
-        for i, arm in enumerate(self.arms.values()):
-            limits[self.layout.tree_joints(i)] = arm.position_limits
+        for i, robot in enumerate(self.robots.values()):
+            limits[self.layout.tree_joints(i)] = robot.position_limits
         return limits
 
     @property
@@ -289,7 +291,7 @@ def require_no_floating_base(model: Model, why: str) -> None:
     ------
     ModelError
     """
-    floating = [name for name, arm in model.arms.items() if arm.floats]
+    floating = [name for name, robot in model.robots.items() if robot.floats]
     if floating:
         raise ModelError(
             f"the base of robot '{floating[0]}' floats: {why}; let it move in directions, such as "

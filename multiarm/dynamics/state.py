@@ -87,7 +87,7 @@ class State:
             self.layout.base_poses(self.position),
             self.layout.base_twists(self.velocity),
         )
-        pairs = zip(self.layout.bases, poses, twists, strict=True)
+        pairs = zip(self.layout.floating_robots, poses, twists, strict=True)
         return MappingProxyType(
             {self.layout.names[i]: BaseMotion(pose, twist) for i, pose, twist in pairs}
         )

@@ -248,7 +248,7 @@ class System:
     @property
     def arms(self) -> dict[str, Robot]:
         """The arms by their names, in the order of the stacked vectors."""
-        return self.model.arms
+        return self.model.robots
 
     @property
     def arm_names(self) -> tuple[str, ...]:
@@ -286,7 +286,7 @@ class System:
         model = self.model
         around = model.records[model.layout.surroundings]
         return trajectory_channels(
-            {name: arm.joint_units for name, arm in model.arms.items()},
+            {name: arm.joint_units for name, arm in model.robots.items()},
             {name: [contact.name for contact in own] for name, own in model.contacts.items()},
             {name: {COMPONENTS[k]: UNITS[k] for k in f.free} for name, f in model.frames.items()},
             model.effects.works,
@@ -294,7 +294,7 @@ class System:
             [record.name for record in around],
             model.controlled,
             {name: self._row_owner(name) for name in model.contacts},
-            [name for name, arm in model.arms.items() if arm.floats],
+            [name for name, arm in model.robots.items() if arm.floats],
         )
 
     def _row_owner(self, name: str) -> RowOwner:

@@ -13,7 +13,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import CONTACT_WIDTH, ContactSearch, make_search
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
-from multiarm.dynamics.coordinates import bases_of, columns_of_forces
+from multiarm.dynamics.coordinates import columns_of_forces, floating_bases
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import References
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
@@ -63,7 +63,7 @@ class StateVectors(NamedTuple):
     configuration: Floats1
     poses: Floats2  # (F, 7) of the frames
     base_poses: Floats2  # (B, 7) of the floating bases
-    bases: Ints1  # (B,) the first of the six joints of each
+    floating_bases: Ints1  # (B,) the first of the six joints of each
     object_pose: Floats1  # (7,)
     joint_positions: Floats1  # (joints,)
     velocity: Floats1
@@ -361,6 +361,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
     rows, motion = make_rows(layout, sizes.parts), motion_of_bodies(len(pointers.links))
     recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
+    rates = state.joint_rates
     last_step = make_step_end(layout, pairs)
     return Variables(
         time=Time(),
@@ -372,7 +373,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             pointers=pointers.terms,
             link_pointers=pointers.links,
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
-            pinocchio_velocity=state.joint_rates.copy() if layout.bases else state.joint_rates,
+            pinocchio_velocity=rates.copy() if layout.floating_robots else rates,
             motion=motion,
             links=motion[:-2],
             object=motion[-2],
@@ -436,7 +437,7 @@ def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Ac
             configuration=q,
             poses=layout.poses(q),
             base_poses=layout.base_poses(q),
-            bases=bases_of(layout),
+            floating_bases=floating_bases(layout),
             object_pose=layout.poses(q)[0],
             joint_positions=layout.joint_positions(q),
             velocity=v,

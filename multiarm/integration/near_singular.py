@@ -107,9 +107,8 @@ def interpolate_accelerations(struct, alpha, beta, delay):
         k = 1 + side // 2
         restore_state(data)
         ahead, start = (k if side % 2 == 0 else -k) * delay, data.interpolation.configuration
-        retract_into(
-            state.poses.shape[0], state.bases, start, ahead, state.velocity, state.configuration
-        )
+        frames, bases = state.poses.shape[0], state.floating_bases
+        retract_into(frames, bases, start, ahead, state.velocity, state.configuration)
         numbers = data.interpolation.numbers
         status = project(struct, numbers.gap)
         numbers.evaluations += cost_of_projection(data)

@@ -135,7 +135,8 @@ def project_positions(
         if not hold_object:
             reach = larger(reach, greatest(data.accelerations.a_o))
         data.status.position_change += scale * reach
-        q, bases, frames = data.state.configuration, data.state.bases, data.state.poses.shape[0]
+        q, frames = data.state.configuration, data.state.poses.shape[0]
+        bases = data.state.floating_bases
         if hold_object:
             retract_joints(frames, bases, q, scale, data.accelerations.a, q)
         else:

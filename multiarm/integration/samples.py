@@ -42,7 +42,7 @@ def write_sample(struct, t, works, row):
     b, c, blocks = 0, 0, model.connections.block
     for i in range(control.power.size):
         first, last = model.first_joint[i], model.first_joint[i + 1]
-        floats = b < state.bases.size and model.bases.robot[b] == i
+        floats = b < state.floating_bases.size and model.floating_bases.robot[b] == i
         if floats:
             first += 6
         at = append(row, at, state.joint_positions[first:last])

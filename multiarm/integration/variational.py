@@ -236,7 +236,7 @@ def correct_unknowns(work, data, iteration):
 def move_in_step(work, data, delay, t):
     """Write the state at the time ``delay`` after the beginning of the step into the data."""
     state = data.state
-    frames, bases = state.poses.shape[0], state.bases
+    frames, bases = state.poses.shape[0], state.floating_bases
     retract_into(frames, bases, work.begin, delay, work.xi, state.configuration)
     copy(work.xi, data.state.velocity)
     data.time.now = t

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 
 from multiarm.assembly.inverse_kinematics import InverseKinematics
-from multiarm.assembly.robots import arm_files, load_robots
+from multiarm.assembly.robots import load_robots, robot_files
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import (
@@ -308,7 +308,7 @@ class _Robot:
             )
         tip = tips[0] if len(tips) > 1 else None
         spec = ArmSpec(robot=name, tip=tip)
-        arm = Robot(name, arm_files(spec, resolve_arm(spec)))
+        arm = Robot(name, robot_files(spec, resolve_arm(spec)))
         return cls(arm, tip, float(np.max(arm.levers(np.zeros(3)))))
 
 

@@ -308,7 +308,7 @@ def _energy_check(
         units = data.model.coordinate_units
         off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
         names = ["object/twist"]
-        for name, arm in data.model.arms.items():
+        for name, arm in data.model.robots.items():
             names += [arm_channel(name, "base_twist")] if arm.floats else []
             names.append(arm_channel(name, "joint_velocity"))
         slow = np.concatenate([comparison.velocity[name] for name in names])

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.coordinates import bases_of, chart_places, read_chart
+from multiarm.dynamics.coordinates import chart_places, floating_bases, read_chart
 from multiarm.dynamics.failures import failure_text, lost_contact_text
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
@@ -373,7 +373,7 @@ def state_of(run: Run, layout: Layout) -> State:
     """The state at the beginning of the next step."""
     step, configuration = run.stepping.step, np.empty(layout.nq)
     places = chart_places(run.data.arrays)
-    read_chart(layout.frames, bases_of(layout), step.z, step.base, configuration)
+    read_chart(layout.frames, floating_bases(layout), step.z, step.base, configuration)
     return State(configuration, step.z[places.velocity : places.states].copy(), layout)
 
 

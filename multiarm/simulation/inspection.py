@@ -274,7 +274,7 @@ def count_freedom(data: Data) -> Freedom:
     names = [f"{arm}: {c.name}" for arm, contacts in data.model.contacts.items() for c in contacts]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
-        floating_bases=len(data.model.layout.bases),
+        floating_bases=len(data.model.layout.floating_robots),
         constraints=matrix.shape[1],
         rank=rank,
         mobility=matrix.shape[0] - rank,
@@ -375,10 +375,10 @@ def _robot_facts(system: System, name: str, evaluation: Evaluation | None) -> Ro
         base_position=position,
         base_quaternion_xyzw=quaternion,
         base_joints=[joint.name for joint in robot.files.base_joints],
-        base=_kind_of_base(system.model.robots[name]),
+        base=_kind_of_base(system.model.resolved_robots[name]),
         joints=dict(robot.joint_units),
         posture=system.initial_state().joint_positions[name].tolist(),
-        mimic=list(system.model.robots[name].mimic),
+        mimic=list(system.model.resolved_robots[name].mimic),
         locked=dict(robot.files.locked),
         terms=system.arm_terms[name],
         not_compiled=system.not_compiled.get(name),

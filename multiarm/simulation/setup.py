@@ -253,7 +253,9 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         final_sample,
         control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
         # the method for stiff scenes needs derivatives, see `_check_bases`
-        switch=settings.adaptive and spec.integrator is None and not data.model.layout.bases,
+        switch=settings.adaptive
+        and spec.integrator is None
+        and not data.model.layout.floating_robots,
         step=first_length,
     )
     return Run(
@@ -279,7 +281,7 @@ def _check_effects(task: Task, name: str) -> None:
 
 def _check_bases(model: Model, name: str) -> None:
     """Refuse methods that need derivatives, where bases float."""
-    floating = [robot for robot, arm in model.arms.items() if arm.floats]
+    floating = [robot for robot, arm in model.robots.items() if arm.floats]
     if floating and METHODS[name].kind not in (EXPLICIT, SEMI_IMPLICIT):
         text = (
             f"'{name}' needs derivatives by the pose of a floating base, that of robot "

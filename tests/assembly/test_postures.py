@@ -21,7 +21,7 @@ from multiarm.assembly.bases import StandSearch
 from multiarm.assembly.inverse_kinematics import BASE_JOINTS, InverseKinematics
 from multiarm.assembly.postures import overlapping_links
 from multiarm.assembly.reaching import REACHED, write_step
-from multiarm.assembly.robots import arm_files, load_robots, with_bases
+from multiarm.assembly.robots import load_robots, robot_files, with_bases
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
@@ -35,7 +35,7 @@ DOWN = {"xyz": [0.0, 0.0, 0.1], "rpy": [np.pi, 0.0, 0.0]}
 
 def robot(**spec) -> Robot:
     own = ArmSpec.model_validate(spec)
-    return Robot("arm", arm_files(own, resolve_arm(own)))
+    return Robot("arm", robot_files(own, resolve_arm(own)))
 
 
 ROBOTS = [
@@ -388,7 +388,7 @@ def test_a_base_is_found_from_which_only_few_postures_reach(solve, rng):
         }
     )
     robots = load_robots(with_bases(built))
-    np.testing.assert_allclose(robots.arms["a"].tip_pose(robots.postures["a"]), there, atol=1e-7)
+    np.testing.assert_allclose(robots.by_name["a"].tip_pose(robots.postures["a"]), there, atol=1e-7)
 
 
 def test_a_stand_holds_its_mount_as_the_arm_that_stands_there_does(rng):

@@ -454,7 +454,7 @@ def robot_scene(joints: list[dict], body: dict = BAR, **robot) -> Scene:
 
 def posture_in(scene: Scene) -> tuple[Robot, np.ndarray]:
     robots = load_robots(scene)
-    return robots.arms["b"], robots.postures["b"]
+    return robots.by_name["b"], robots.postures["b"]
 
 
 @pytest.mark.parametrize("posture", [{"posture": "solve"}, {}], ids=["asked for", "by default"])

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multiarm.dynamics.coordinates import (
-    bases_of,
     chart_places,
     difference,
     equation_columns,
+    floating_bases,
     load_chart,
     read_chart,
     retract,
@@ -26,11 +26,21 @@ LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 3), ("arm",), (0, 2), (0,)),
     Layout(("left", "right"), (0, 3, 5), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3),
     Layout((), (0,), (0,), (), (0,), (), frames=2),
-    Layout(("fixed", "a", "b"), (0, 2, 9, 15), (0, 2, 9, 15), ("a",), (0, 1), (1,), bases=(1, 2)),
+    Layout(
+        ("fixed", "a", "b"),
+        (0, 2, 9, 15),
+        (0, 2, 9, 15),
+        ("a",),
+        (0, 1),
+        (1,),
+        floating_robots=(1, 2),
+    ),
 ]
 ROUNDING = 1e-14
 layouts = pytest.mark.parametrize(
-    "layout", LAYOUTS, ids=lambda layout: f"{layout.frames} frames, {len(layout.bases)} bases"
+    "layout",
+    LAYOUTS,
+    ids=lambda layout: f"{layout.frames} frames, {len(layout.floating_robots)} bases",
 )
 
 
@@ -103,7 +113,7 @@ def test_parts_are_views_of_the_stacked_vectors(layout):
     q, v = np.arange(layout.nq, dtype=float), np.arange(layout.nv, dtype=float)
     layout.poses(q)[...] = layout.base_poses(q)[...] = -1.0
     layout.twists(v)[...] = -1.0
-    poses = 7 * (layout.frames + len(layout.bases))
+    poses = 7 * (layout.frames + len(layout.floating_robots))
     assert np.all(q[:poses] == -1.0) and np.all(v[: 6 * layout.frames] == -1.0)
     assert np.array_equal(layout.joint_positions(q), np.arange(poses, layout.nq))
     for i in range(len(layout.names)):
@@ -153,7 +163,7 @@ def test_the_slope_is_the_derivative_of_the_chart_along_the_motion(layout):
     def positions(t):
         q = retract(layout, data.state.configuration, t * data.state.velocity)
         origin = np.zeros(layout.nq)
-        read_chart(layout.frames, bases_of(layout), np.zeros_like(z), base, origin)
+        read_chart(layout.frames, floating_bases(layout), np.zeros_like(z), base, origin)
         return difference(layout, origin, q)
 
     numeric = (positions(h) - positions(-h)) / (2.0 * h)

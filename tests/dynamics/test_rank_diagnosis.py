@@ -59,7 +59,7 @@ def ur5(posture, joint=WELD):
 
 def tip_terms(data, arm="arm"):
     q = data.get_state().joint_positions[arm]
-    return data.model.arms[arm].terms(q, np.zeros(q.size))
+    return data.model.robots[arm].terms(q, np.zeros(q.size))
 
 
 def torques_of(data, lost, arm="arm"):

@@ -13,7 +13,7 @@ from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.assembly.robots import arm_files
+from multiarm.assembly.robots import robot_files
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, dump_scene, parse_scene, resolve_arm
@@ -73,7 +73,7 @@ def model_text(bodies: str, parts: str = "", compiler: str = "angle='radian'") -
 
 def arm_of(**spec: object) -> Robot:
     own = ArmSpec(**{"base": BASE, **spec})
-    return Robot("arm", arm_files(own, resolve_arm(own)))
+    return Robot("arm", robot_files(own, resolve_arm(own)))
 
 
 @pytest.mark.parametrize("kinds", ["hhh", "hhhhhh", "shhsh"])

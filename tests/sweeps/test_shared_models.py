@@ -208,7 +208,7 @@ def written_arrays(data) -> dict[str, np.ndarray]:
 
 def where_terms_are(data) -> set[int]:
     """Addresses of the arms' terms, and of what computes them."""
-    pointers = data.arrays.bodies.pointers[: len(data.model.arms)]
+    pointers = data.arrays.bodies.pointers[: len(data.model.robots)]
     places = set(np.delete(pointers, offset_of(TermAddresses, "stride"), axis=1).ravel())
     functions = data.arrays.functions
     return (places | {functions.pinocchio, functions.dense, functions.arms_struct}) - {0}

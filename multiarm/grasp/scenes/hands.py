@@ -26,7 +26,7 @@ import numpy as np
 
 from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.inverse_kinematics import InverseKinematics, clearance, points_on_links
-from multiarm.assembly.robots import arm_files
+from multiarm.assembly.robots import robot_files
 from multiarm.errors import GraspError
 from multiarm.grasp.body.face import OFF_PLANE, across, frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron
@@ -365,7 +365,7 @@ def _clear_of(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _robot(spec: ArmSpec) -> Robot:
-    return Robot(spec.robot or "arm", arm_files(spec, resolve_arm(spec)))
+    return Robot(spec.robot or "arm", robot_files(spec, resolve_arm(spec)))
 
 
 def lifted(height: float) -> np.ndarray:
