@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
+from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
@@ -52,7 +52,7 @@ from multiarm.jit.structs import Floats1, Floats2, Int, Ints1, struct_at, struct
 class CommandDerivatives(NamedTuple):
     """Results and scratch for d joints and m contacts of the largest arm, S columns of the state.
 
-    An arm has C columns of its own (:class:`multiarm.dynamics.coordinates.ArmColumns`).
+    An arm has C columns of its own (:class:`multiarm.dynamics.coordinates.BlockColumns`).
     """
 
     # structs of multiarm.dynamics.equation_derivatives
@@ -108,7 +108,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     if prepared.function == 0:
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = max(layout.joint_counts), max(layout.contact_counts)
-        width = arm_columns(d, 0).end
+        width = block_columns(d, 0).end
         _, motion = equation_work(data, states)
         _, excess = equation_work(data, states, weights=False)
         arrays = CommandDerivatives(
@@ -160,7 +160,7 @@ def differentiate_contact_forces(data, work, motion, rest, derivatives):
     size, states = wrench.shape
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_arm = arm_columns(n, 0)
+        of_arm = block_columns(n, 0)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(forces[k])
             for c in range(of_arm.rates):
@@ -195,7 +195,7 @@ def add_inverse_dynamics(data, work, motion):
     columns = force_columns(data)
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_arm = arm_columns(n, 0)
+        of_arm = block_columns(n, 0)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
             for c in range(of_arm.end):
@@ -210,7 +210,7 @@ def add_motion_derivatives(data, work, i, motion, excess, derivatives):
         work.first_joint[i + 1] - work.first_joint[i],
         work.first_contact[i],
     )
-    m, of_arm, X = work.first_contact[i + 1] - r0, arm_columns(n, 0), derivatives.motions
+    m, of_arm, X = work.first_contact[i + 1] - r0, block_columns(n, 0), derivatives.motions
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
         for c in range(of_arm.end):

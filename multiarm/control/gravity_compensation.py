@@ -43,7 +43,7 @@ from multiarm.control.program import ControlContext, ControlProgram, needs_gravi
 from multiarm.dynamics.arrays import CARRYING, open_system
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
-from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
+from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
@@ -149,7 +149,7 @@ def write_derivatives_at_fixed_multipliers(address, size, at, _t):
             balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        of_arm = arm_columns(work.first_joint[i + 1] - d0, 0)
+        of_arm = block_columns(work.first_joint[i + 1] - d0, 0)
         for k in range(r0, work.first_contact[i + 1]):
             for c in range(of_arm.rates):
                 if c < of_arm.twists or c >= of_arm.positions:  # y is no velocity of the state

@@ -38,7 +38,7 @@ from multiarm.dynamics.contact_derivatives import (
     write_column_displacement,
     write_seen_motion,
 )
-from multiarm.dynamics.coordinates import arm_columns
+from multiarm.dynamics.coordinates import block_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
     joint_that_moves,
@@ -83,7 +83,7 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     size = n + 6 * count_held(i, model, data)
-    of_arm, arm = arm_columns(n, 0), open_equations(derivatives.excess)
+    of_arm, arm = block_columns(n, 0), open_equations(derivatives.excess)
     M, preferred = open_equations(derivatives.motion).M[i], command.preferred
     K, X = np.zeros((size, size)), np.zeros((size, of_arm.end))
     pivots = np.zeros(size, dtype=np.int64)

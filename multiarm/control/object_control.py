@@ -55,7 +55,7 @@ from multiarm.dynamics.control_laws import ControlLaw
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
-from multiarm.dynamics.momenta import times_arm_inertia
+from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, kernel
@@ -179,7 +179,7 @@ def add_motion_forces(law, command, feedforward, model, data, work):
         if not (holds and independent):
             command.targets.independent = False
         for j in range(d1 - d0):
-            data.control.torque[d0 + j] += times_arm_inertia(i, j, work, command.a_j)
+            data.control.torque[d0 + j] += times_block_inertia(i, j, work, command.a_j)
 
 
 def computed_torque_program(

@@ -30,7 +30,7 @@ from multiarm.control.null_space_derivatives import differentiate_holds
 from multiarm.control.object_law import open_command, open_object_law
 from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.coordinates import arm_columns, column_of_state, force_columns
+from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import (
     AT_REST,
     add_object_equation,
@@ -125,7 +125,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
         n = work.first_joint[i + 1] - work.first_joint[i]
         if n == 0:  # the surroundings
             continue
-        rates = arm_columns(n, 0).rates
+        rates = block_columns(n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
@@ -206,7 +206,7 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_arm, columns = arm_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
+    of_arm, columns = block_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
     for c in range(of_arm.rates):
         if of_arm.twists <= c < of_arm.positions:
             continue

@@ -14,7 +14,7 @@ import numpy as np
 from multiarm.contacts.table import ContactTable, JointRows
 from multiarm.dynamics.connections import Connections, Links
 from multiarm.dynamics.guards import Guards, open_guards
-from multiarm.dynamics.solver.node import ArmGroups, NodeWork
+from multiarm.dynamics.solver.node import BlockGroups, NodeWork
 from multiarm.dynamics.solver.singular import CoupledWork
 from multiarm.dynamics.status import CALLBACK_FAILED, KERNEL_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import Rows, Variables
@@ -170,7 +170,7 @@ def row_places(
 ) -> np.ndarray:
     """Places in a system's struct of the sizes of arrays, in the order of their shapes.
 
-    The arrays are some of ``JointRows``, ``Rows``, ``NodeWork``, its ``ArmGroups`` and
+    The arrays are some of ``JointRows``, ``Rows``, ``NodeWork``, its ``BlockGroups`` and
     ``CoupledWork``.
     """
     joint_rows_at = _FIRST[0] + place_of(Constants, "joint_rows")
@@ -181,7 +181,7 @@ def row_places(
             size_places(JointRows, joint_rows_at, joint_rows),
             size_places(Rows, rows_at, rows),
             size_places(NodeWork, _FIRST[2], work),
-            size_places(ArmGroups, groups_at, groups),
+            size_places(BlockGroups, groups_at, groups),
             size_places(CoupledWork, _FIRST[3], coupled),
         ]
     )

@@ -30,8 +30,8 @@ from multiarm.dynamics.solver.node import NodeWork
 from multiarm.dynamics.solver.solution import DENSE, write_solution
 from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.status import (
-    ARM_INERTIA,
-    ARM_NOT_FINITE,
+    BLOCK_INERTIA,
+    BLOCK_NOT_FINITE,
     NOT_FINITE,
     OBJECT_INERTIA,
     OK,
@@ -226,7 +226,7 @@ class DenseSolver:
         arms = range(len(dofs) - 1)
         inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
         terms = b.bodies.object_inertia, b.rows.W_o, work.W, b.rows.c, b.forces.f
-        b.dense.status, b.status.arm = _status_of(b.bodies.object_inertia, inertias, terms)
+        b.dense.status, b.status.block = _status_of(b.bodies.object_inertia, inertias, terms)
         if b.dense.status != OK:
             return
         W_o, W = _by_arm(work, b.rows.W_o, work.W)
@@ -252,7 +252,7 @@ class DenseSolver:
             b, DENSE, 0, b.rows.force.size - solution.rank, math.inf, solution.motion_unique
         )
         b.deficient.undetermined[:] = 0
-        b.deficient.undetermined[list(solution.undetermined_arms)] = 1
+        b.deficient.undetermined[list(solution.undetermined_blocks)] = 1
 
 
 def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
@@ -265,13 +265,13 @@ def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple
 def _status_of(
     object_inertia: np.ndarray, inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]
 ) -> tuple[int, int]:
-    """Why the equations cannot be solved, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``."""
+    """Why the equations cannot be solved, and the arm of ``BLOCK_INERTIA, BLOCK_NOT_FINITE``."""
     if not np.all(np.diag(object_inertia) > 0.0):
         return OBJECT_INERTIA, 0
     for i, inertia in enumerate(inertias):
         if not np.all(np.isfinite(inertia)):
-            return ARM_NOT_FINITE, i
+            return BLOCK_NOT_FINITE, i
         if not np.all(np.diag(inertia) > 0.0):
-            return ARM_INERTIA, i
+            return BLOCK_INERTIA, i
     finite = all(np.all(np.isfinite(term)) for term in terms)
     return (OK if finite else NOT_FINITE), 0

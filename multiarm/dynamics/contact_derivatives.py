@@ -78,7 +78,7 @@ BASE, OBJECT = -1, -2
 def differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work):
     """Write what the equations of an arm take from rows between two bodies.
 
-    By the C coordinates of :class:`multiarm.dynamics.coordinates.ArmColumns`.
+    By the C coordinates of :class:`multiarm.dynamics.coordinates.BlockColumns`.
 
     Parameters
     ----------

@@ -171,31 +171,31 @@ def columns_of_forces(velocities, joints, states):
     return ForceColumns(twists, positions, rates, first_state, time, time + 1, time + 7)
 
 
-class ArmColumns(NamedTuple):
-    """First columns of what an arm's equations depend on: the object's state and the arm's own.
+class BlockColumns(NamedTuple):
+    """First columns of what a block's equations depend on: the object's state and the block's own.
 
     Where they are wanted, also a displacement (6) of the contacts of each of its connections
     against their first body, in its axes.
     """
 
     twists: int  # of the object
-    positions: int  # of the arm's joints
+    positions: int  # of the block's joints
     rates: int
     placement: int
     end: int  # number of coordinates, C
 
 
 @plain
-def arm_columns(joints, placements):
-    """The columns of an arm with numbers of joints, and of connections that are displaced."""
+def block_columns(joints, placements):
+    """The columns of a block with numbers of joints, and of connections that are displaced."""
     twists, positions, rates, placement = columns_of_state(TWIST + joints, joints)
     end = placement + TWIST * placements
-    return ArmColumns(twists, positions, rates, placement, end)
+    return BlockColumns(twists, positions, rates, placement, end)
 
 
 @inlined
 def column_of_state(at, columns, d0, c):
-    """Place among all columns ``at`` of one of an arm, whose joints begin at ``d0``.
+    """Place among all columns ``at`` of one of a block, whose joints begin at ``d0``.
 
     The object is the first frame; columns of placements are no columns of the state.
     """

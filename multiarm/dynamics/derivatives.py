@@ -43,11 +43,11 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import Code, rolls
-from multiarm.dynamics.coordinates import arm_columns, column_of_state, equation_columns
+from multiarm.dynamics.coordinates import block_columns, column_of_state, equation_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     equation_work,
-    solve_by_arms,
+    solve_by_blocks,
     stack_derivatives,
     stack_matrix,
     write_derivatives,
@@ -93,7 +93,7 @@ def differentiate(
     solved = matrix[: rows["effect_state_rates"].start]
     motions = equations.motions(independent)
     admissible = None if independent else motions().admissible()
-    if not (by_arms and equations.solve_by_arms(solved)):
+    if not (by_arms and equations.solve_by_blocks(solved)):
         solved[:] = equations.solve_whole(admissible)
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
@@ -138,8 +138,8 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     states, of_all = columns["torques"].start, equation_columns(data.arrays)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
-    for turn, angle, i in zip(turns, equations.friction.angle, slides.arm, strict=True):
-        d0, of_arm = layout.first_joint_of_block[i], arm_columns(layout.joint_counts[i], 0)
+    for turn, angle, i in zip(turns, equations.friction.angle, slides.block, strict=True):
+        d0, of_arm = layout.first_joint_of_block[i], block_columns(layout.joint_counts[i], 0)
         places = [column_of_state(of_all, of_arm, d0, c) for c in range(of_arm.end)]
         turn[places] = angle[: of_arm.end]
         if "placements" in columns and i in layout.blocks_of_robots:
@@ -177,12 +177,12 @@ class _Equations:
         self.friction, self._friction = friction_derivatives(data, self.width, placements)
         self._update()
 
-    def solve_by_arms(self, matrix: np.ndarray) -> bool:
+    def solve_by_blocks(self, matrix: np.ndarray) -> bool:
         """Write ``dy``, shape (6 + n + N, columns), arm by arm; False where that is singular.
 
         It takes the place of the derivatives of F, which are restored where it fails.
         """
-        solved = solve_by_arms(self._data.struct, self._struct, matrix) == OK
+        solved = solve_by_blocks(self._data.struct, self._struct, matrix) == OK
         if not solved:
             self._update()
         return solved
@@ -283,7 +283,7 @@ def _motions(
     )  # fmt: skip
     for i in range(layout.block_count):
         rows, n, m = layout.contacts_of_block(i), layout.joint_counts[i], layout.contact_counts[i]
-        at, first = layout.of_block(i), arm_columns(n, 0).positions
+        at, first = layout.of_block(i), block_columns(n, 0).positions
         inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
     return Motions(layout, inertia, closed, rates, by_position, independent)

@@ -153,8 +153,8 @@ class EffectKernel:
     local : bool
         Forces and torques on the joints of an arm depend on the time and on the state of this arm
         only, those on the object on the time and the object's state only.  Derivatives of
-        accelerations then cost less in :mod:`multiarm.integration.arm_derivatives`, which are wrong
-        where this does not hold.
+        accelerations then cost less in :mod:`multiarm.integration.block_derivatives`, which are
+        wrong where this does not hold.
     state_joints : tuple of int
         The joint, among all, to which each state of a local kernel belongs.
     derivative : compiled function, optional

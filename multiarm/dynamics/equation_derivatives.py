@@ -1,15 +1,15 @@
 r"""Derivatives of the equations of motion with respect to the state, in compiled code.
 
-For every arm, and for the surroundings as an arm without joints, with :math:`F_i, F_{\varphi i},
+For every block, and for the surroundings as a block without joints, with :math:`F_i, F_{\varphi i},
 F_o` of :mod:`multiarm.dynamics.derivatives`,
 
 .. math::
     K_i = \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}, \qquad
     \partial \begin{bmatrix} F_i \\ F_{\varphi i} \end{bmatrix}, \qquad \partial F_o .
 
-Each arm has columns of its own, so that the cost is linear in the arms.  Every connection of an arm
-adds the derivatives of its rows to :math:`F_{\varphi i}`, and those of the wrenches on its two
-bodies, links of the arm or the object, to :math:`F_i` and :math:`F_o`.
+Each block has columns of its own, so that the cost is linear in the blocks.  Every connection of a
+block adds the derivatives of its rows to :math:`F_{\varphi i}`, and those of the wrenches on its
+two bodies, links of the block or the object, to :math:`F_i` and :math:`F_o`.
 
 *Feedback on the drift* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
 derivatives of the gaps' rates by the state, and of the gaps by the pose and the joints, which are
@@ -38,7 +38,7 @@ from multiarm.dynamics.contact_derivatives import (
     differentiate_connection,
 )
 from multiarm.dynamics.coordinates import (
-    arm_columns,
+    block_columns,
     chart_places,
     column_of_state,
     equation_columns,
@@ -78,15 +78,15 @@ from multiarm.robots.terms import ArmStructure
 
 
 class EquationWork(NamedTuple):
-    """Results and scratch for ``n`` arms; ``d`` joints and ``m`` contacts of the largest.
+    """Results and scratch for ``n`` blocks; ``d`` joints and ``m`` contacts of the largest.
 
-    An arm's own columns are C coordinates, see
-    :class:`multiarm.dynamics.coordinates.ArmColumns`, the torques of its joints and the
+    A block's own columns are C coordinates, see
+    :class:`multiarm.dynamics.coordinates.BlockColumns`, the torques of its joints and the
     object's acceleration.
     """
 
     placements: Int  # first of their columns among all, six for each owner of rows; -1 without
-    first_owner: Ints1  # (n + 1,) of the rows of each arm, see multiarm.dynamics.connections
+    first_owner: Ints1  # (n + 1,) of the rows of each block, see multiarm.dynamics.connections
     # velocities and accelerations of the joints (joints,), contact forces (N,)
     v: Floats1
     a_j: Floats1
@@ -107,7 +107,7 @@ class EquationWork(NamedTuple):
     second_moved: Floats2
     on_first: Floats2
     on_second: Floats2
-    # scratch of one arm
+    # scratch of one block
     links: Floats2
     scratch: Floats2
     rows: Floats2
@@ -134,7 +134,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     n, N = layout.block_count, layout.contacts
     d, m = max(layout.joint_counts), max(layout.contact_counts)
     first_owner = np.searchsorted(layout.block_of, range(n + 1))
-    C = arm_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
+    C = block_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
     work = EquationWork(
         placements=placements,
         first_owner=first_owner.astype(np.int64),
@@ -226,7 +226,7 @@ def write_derivatives(struct: INTS, equations: INTS):
 
 @kernel
 def write_derivatives_at_rest(struct, equations, twist):
-    """Write the derivatives of what holds the arms at rest under ``work.force``; returns a status.
+    """Write derivatives of what holds the blocks at rest under ``work.force``; returns a status.
 
     At rest but for the accelerations ``work.a_j``.  They are the rows of joints in ``dF``; ``dF_o``
     has those of the opposite wrench on the object, and ``rates`` those of the gap rates while the
@@ -255,7 +255,7 @@ def write_load_derivatives(struct, equations):
 
 @kernel
 def differentiate_bodies(struct, equations):
-    """Write the derivatives of all arms and their wrenches on the object; returns a status.
+    """Write the derivatives of all blocks and their wrenches on the object; returns a status.
 
     At the motion and the contact forces in ``work.object, v, a_j, force``.
     """
@@ -264,7 +264,7 @@ def differentiate_bodies(struct, equations):
     for l in range(work.dF_o.shape[0]):
         clear(work.dF_o[l])
     for i in range(system.first_joint.size - 1):
-        differentiate_arm(i, model, data, system, links, work)
+        differentiate_block(i, model, data, system, links, work)
     return CALLBACK_FAILED if data.status.failed else OK
 
 
@@ -300,23 +300,23 @@ def add_object_equation(inertia, twist, acceleration, work):
 
 
 @kernel
-def differentiate_arm(i, model, data, system, links, work):
-    """Write ``K_i`` and the derivatives of one arm's equations, and add those of its wrenches."""
+def differentiate_block(i, model, data, system, links, work):
+    """Write ``K_i`` and the derivatives of one block's equations, and add those of its wrenches."""
     n = system.first_joint[i + 1] - system.first_joint[i]
     first, last = system.first_contact[i], system.first_contact[i + 1]
-    is_arm, dF = i < links.first.size - 1, work.dF[i]
-    columns = columns_of_arm(i, n, links, work)
+    has_joints, dF = i < links.first.size - 1, work.dF[i]
+    columns = columns_of_block(i, n, links, work)
     C = columns.end
     for k in range(n + last - first):
         clear(dF[k])
-    if is_arm:
+    if has_joints:
         write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
     for c in range(work.first_owner[i], work.first_owner[i + 1]):
         add_connection(i, c, columns, model, data, system, links, work)
     for k in range(model.joint_rows.row.size):
         if model.joint_rows.block[k] == i and model.joint_rows.kind[k] == WHEELS:
             add_wheels(k, n, columns, model, data, system, work)
-    if is_arm:
+    if has_joints:
         write_inverse_dynamics(links, i, work.links, work.by_q, work.by_v)
     for j in range(n):
         for k in range(n):
@@ -326,14 +326,14 @@ def differentiate_arm(i, model, data, system, links, work):
     for k in range(first, last):
         for l in range(work.dF_o.shape[0]):
             dF[n + k - first, C + n + l] = data.rows.W_o[k, l]
-    write_matrix_of_arm(i, first, last - first, n, data, system, work)
+    write_matrix_of_block(i, first, last - first, n, data, system, work)
 
 
 @inlined
 def add_connection(i, owner, columns, model, data, system, links, work):
     """Write the derivatives of the rows of an owner, and add those of their wrenches.
 
-    After :func:`write_motions` of the arm, before :func:`write_inverse_dynamics`.
+    After :func:`write_motions` of the block, before :func:`write_inverse_dynamics`.
     """
     n, pairs, first = (
         system.first_joint[i + 1] - system.first_joint[i],
@@ -392,7 +392,7 @@ def joint_that_moves(body, model):
 
 @kernel
 def write_connected_body(i, body, links, work, motion, moved):
-    """Write the motion of a body of a connection, and its displacements by the arm's joints.
+    """Write the motion of a body of a connection, and its displacements by the block's joints.
 
     ``body`` as in :func:`multiarm.dynamics.contact_derivatives.write_body_displacement`.
     """
@@ -440,22 +440,22 @@ def subtract_object_wrench(c, at, wrench, slope, work):
 
 
 @inlined
-def columns_of_arm(i, n, links, work):
-    """The first columns of an arm; the surroundings have no placements."""
+def columns_of_block(i, n, links, work):
+    """The first columns of a block; the surroundings have no placements."""
     placed = i < links.first.size - 1 and work.placements >= 0
-    return arm_columns(n, work.first_owner[i + 1] - work.first_owner[i] if placed else 0)
+    return block_columns(n, work.first_owner[i + 1] - work.first_owner[i] if placed else 0)
 
 
 @inlined
 def column_of_all(i, at, columns, d0, c, work):
-    """Place among all columns ``at`` of a column of arm ``i``, whose joints begin at ``d0``."""
+    """Place among all columns ``at`` of a column of block ``i``, whose joints begin at ``d0``."""
     if c < columns.placement:
         return column_of_state(at, columns, d0, c)
     return work.placements + TWIST * work.first_owner[i] + c - columns.placement
 
 
 @inlined
-def write_matrix_of_arm(i, first, m, n, data, system, work):
+def write_matrix_of_block(i, first, m, n, data, system, work):
     """Write ``K_i`` and ``M_i``."""
     K, M, W = work.K[i], system.M[i], system.W[i]
     for a in range(n):
@@ -478,7 +478,7 @@ def add_drift_feedback(struct, equations, alpha, beta):
     links, work = open_links(equations), open_equations(equations)
     for i in range(system.first_joint.size - 1):
         n, first = system.first_joint[i + 1] - system.first_joint[i], system.first_contact[i]
-        columns, W = columns_of_arm(i, n, links, work), system.W[i]
+        columns, W = columns_of_block(i, n, links, work), system.W[i]
         for k in range(first, system.first_contact[i + 1]):
             dF, by_gap = work.dF[i, n + k - first], beta * beta * gap_weight(model, k)
             for c in range(columns.twists):
@@ -540,16 +540,16 @@ def stack_derivatives(struct: INTS, equations: INTS, weight: NUMBER, dF: TABLE):
     for i in range(system.first_joint.size - 1):
         d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
         first, last = system.first_contact[i], system.first_contact[i + 1]
-        columns = columns_of_arm(i, n, links, work)
+        columns = columns_of_block(i, n, links, work)
         joints, contacts = places.joints + d0, places.velocity + first - n
         for a in range(n + last - first):
             row = dF[a + (joints if a < n else contacts)]
-            add_arm_columns(weight, work.dF[i, a], i, d0, n, columns, of_all, work, row)
+            add_block_columns(weight, work.dF[i, a], i, d0, n, columns, of_all, work, row)
 
 
 @allocating
 def solve_at_once(struct, equations, matrix):
-    """Solve for ``dy`` where some arm cannot be solved on its own; returns a status.
+    """Solve for ``dy`` where some block cannot be solved on its own; returns a status.
 
     ``matrix`` (6 + n + N, columns) is written; of forces that are not unique it has one of many
     derivatives.  The result is ``SINGULAR`` where the rank of the constraints changes.
@@ -594,11 +594,11 @@ def separate_dependent_rows(K, nv, dependent):
 
 
 @kernel
-def solve_by_arms(struct: INTS, equations: INTS, matrix: TABLE):
-    """Solve for ``dy``, each arm on its own and then the object; returns a status.
+def solve_by_blocks(struct: INTS, equations: INTS, matrix: TABLE):
+    """Solve for ``dy``, each block on its own and then the object; returns a status.
 
     ``matrix`` (6 + n + N, columns) is written; matrices and derivatives in the work are used up.
-    The result is ``SINGULAR`` where an arm, or the object, cannot be solved so.
+    The result is ``SINGULAR`` where a block, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)
     links, work = open_links(equations), open_equations(equations)
@@ -615,12 +615,12 @@ def solve_by_arms(struct: INTS, equations: INTS, matrix: TABLE):
         if not factor_lu(work.K[i], n + last - first, work.pivots) > 0.0:
             return SINGULAR
         solve_rows(work.K[i], n + last - first, work.pivots, X)
-        columns = columns_of_arm(i, n, links, work)
+        columns = columns_of_block(i, n, links, work)
         C = columns.end
         for k in range(first, last):
             forces = X[n + k - first]
             for l in range(of_frames):
-                add_arm_columns(
+                add_block_columns(
                     -work.Wr_o[k, l], forces, i, d0, n, columns, of_all, work, matrix[l]
                 )
                 for c in range(of_frames):
@@ -630,7 +630,7 @@ def solve_by_arms(struct: INTS, equations: INTS, matrix: TABLE):
     solve_rows(S, of_frames, work.pivots, matrix)
     for i in range(system.first_joint.size - 1):
         d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
-        columns = columns_of_arm(i, n, links, work)
+        columns = columns_of_block(i, n, links, work)
         m, C = system.first_contact[i + 1] - system.first_contact[i], columns.end
         for k in range(n + m):
             X = work.dF[i, k]
@@ -644,13 +644,13 @@ def solve_by_arms(struct: INTS, equations: INTS, matrix: TABLE):
                 weight, of_object = X[C + n + l], matrix[l]
                 for c in range(row.size):
                     row[c] -= weight * of_object[c]
-            add_arm_columns(-1.0, X, i, d0, n, columns, of_all, work, row)
+            add_block_columns(-1.0, X, i, d0, n, columns, of_all, work, row)
     return OK
 
 
 @inlined
-def add_arm_columns(weight, values, i, d0, n, columns, of_all, work, row):
-    """Add the columns of an arm, times a weight, to a row of all columns."""
+def add_block_columns(weight, values, i, d0, n, columns, of_all, work, row):
+    """Add the columns of a block, times a weight, to a row of all columns."""
     at = of_all
     for c in range(columns.twists):
         row[c] += weight * values[c]

@@ -40,7 +40,7 @@ from multiarm.dynamics.kinematics import (
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
-from multiarm.dynamics.solver.node import eliminate_arms
+from multiarm.dynamics.solver.node import eliminate_blocks
 from multiarm.dynamics.solver.singular import (
     couple,
     lever_length,
@@ -324,10 +324,10 @@ def solve_deficient(address, size, gap, _b):
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    status = solve_coupled_arms(data, work, open_coupled(struct), False, gap)
+    status = solve_coupled_blocks(data, work, open_coupled(struct), False, gap)
     if status != OK or data.solution.imbalance <= IMBALANCE_BOUND:
         return status
-    if data.solution.coupled_arms == data.bodies.pointers.shape[0]:
+    if data.solution.coupled_blocks == data.bodies.pointers.shape[0]:
         return status
     return call_cfunc(data.functions.decomposed, struct, gap, 0.0)
 
@@ -351,13 +351,13 @@ def solve_decomposed(address, size, gap, _b):
     """Solve a system with no arm eliminated as a whole; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
-    return solve_coupled_arms(data, work, open_coupled(struct), True, gap)
+    return solve_coupled_blocks(data, work, open_coupled(struct), True, gap)
 
 
 @kernel
-def solve_coupled_arms(data, work, coupled, decompose_all, gap):
+def solve_coupled_blocks(data, work, coupled, decompose_all, gap):
     """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
-    status, data.status.arm = eliminate_arms(work, data.rows.W_o)
+    status, data.status.block = eliminate_blocks(work, data.rows.W_o)
     if status != OK:
         return status
     inertia = data.bodies.object_inertia
@@ -385,12 +385,12 @@ def solve_factored(data, work, coupled):
 def write_coupled_solution(data, coupled):
     """What the solver of deficient arms has found out; all arms may turn out to be regular."""
     status = coupled.status
-    if status.arms == 0:
+    if status.blocks == 0:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
         return
     for i in range(data.deficient.coupled.size):
         data.deficient.coupled[i] = coupled.deficient[i]
-    write_solution(data, SPLIT, status.arms, status.unknowns - status.rank, status.margin, 1)
+    write_solution(data, SPLIT, status.blocks, status.unknowns - status.rank, status.margin, 1)
 
 
 @kernel

@@ -104,7 +104,7 @@ class Snapshot:
     def __init__(self, data: Data) -> None:
         self.model, solution = data.model, data.arrays.solution
         self.dense = solution.elimination == Elimination.DENSE
-        self.regular = not (self.dense or solution.coupled_arms)
+        self.regular = not (self.dense or solution.coupled_blocks)
         self.arrays, b = SimpleNamespace(), data.arrays
         self.arrays.bodies = _copied(b.bodies, ("motion", "object", "object_inertia"))
         self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "W_o"))
@@ -531,7 +531,7 @@ def _conditioning(layout: Layout, pivots: Sequence[float]) -> dict[str, float]:
 
 def _coupled_arms(data: Data) -> tuple[str, ...]:
     """Arms that could not be eliminated as a whole in the last solution."""
-    if not data.arrays.solution.coupled_arms:
+    if not data.arrays.solution.coupled_blocks:
         return ()
     coupled, robots = data.arrays.deficient.coupled, data.model.layout.blocks_by_robot
     return tuple(name for name, blocks in robots.items() if np.any(coupled[blocks]))

@@ -8,8 +8,8 @@ from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.status import (
-    ARM_INERTIA,
-    ARM_NOT_FINITE,
+    BLOCK_INERTIA,
+    BLOCK_NOT_FINITE,
     CONTRADICTION,
     KERNEL_FAILED,
     NOT_FINITE,
@@ -44,11 +44,11 @@ def failure_text(data: Data, status: int) -> str:
     lost = lost_contact_text(data)
     if lost:
         return lost
-    if status == ARM_INERTIA:
-        return arm_inertia_text(data.model, _arm_that_failed(data))
-    if status == ARM_NOT_FINITE:
+    if status == BLOCK_INERTIA:
+        return arm_inertia_text(data.model, _block_that_failed(data))
+    if status == BLOCK_NOT_FINITE:
         return (
-            f"numbers of {owner_of(data.model, _arm_that_failed(data))} are not finite; take "
+            f"numbers of {owner_of(data.model, _block_that_failed(data))} are not finite; take "
             f"smaller steps, or check its URDF and the controller"
         )
     if status == OBJECT_INERTIA:
@@ -114,8 +114,8 @@ def joint_text(pair: Connection) -> str:
     return f"joint '{pair.name}'"
 
 
-def _arm_that_failed(data: Data) -> str:
-    return data.model.blocks[data.arrays.status.arm]
+def _block_that_failed(data: Data) -> str:
+    return data.model.blocks[data.arrays.status.block]
 
 
 def _kernel_text(data: Data) -> str:

@@ -46,7 +46,7 @@ from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residu
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
 from multiarm.dynamics.model import Model, require_no_floating_base
-from multiarm.dynamics.solver.bounds import ARM_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
+from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
@@ -317,9 +317,9 @@ def _nearest(
     largest = np.max(size, initial=0.0) or 1.0
     # a row of roundings, as those across the plane of a linkage, is not scaled up
     scale = 1.0 / np.where(size > IMMOVABLE * largest, size, largest)
-    y = np.linalg.lstsq(scale[:, None] * B, scale * (a - A @ preferred), rcond=ARM_RANK_TOLERANCE)[
-        0
-    ]
+    y = np.linalg.lstsq(
+        scale[:, None] * B, scale * (a - A @ preferred), rcond=BLOCK_RANK_TOLERANCE
+    )[0]
     a_j = preferred + np.linalg.solve(L.T, y)
     return a_j, float(np.max(np.abs(A @ a_j - a), initial=0.0))
 

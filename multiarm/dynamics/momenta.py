@@ -22,7 +22,7 @@ def times_object_inertia(k, data, x):
 
 
 @inlined
-def times_arm_inertia(i, j, work, x):
+def times_block_inertia(i, j, work, x):
     """Entry of ``M_i x_i`` for joint ``j`` of arm ``i``; ``x`` has all joints."""
     first, product = work.first_joint[i], 0.0
     for k in range(work.first_joint[i + 1] - first):  # the lower triangle is filled
@@ -40,7 +40,7 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
         momenta[k] = times_object_inertia(k, data, twist)
     for i in range(work.first_joint.size - 1):
         for j in range(work.first_joint[i + 1] - work.first_joint[i]):
-            momenta[first + work.first_joint[i] + j] = times_arm_inertia(i, j, work, rates)
+            momenta[first + work.first_joint[i] + j] = times_block_inertia(i, j, work, rates)
 
 
 @kernel
@@ -52,5 +52,5 @@ def kinetic_energy(data, work):
     for i in range(work.first_joint.size - 1):
         d0 = work.first_joint[i]
         for j in range(work.first_joint[i + 1] - d0):
-            energy += 0.5 * rates[d0 + j] * times_arm_inertia(i, j, work, rates)
+            energy += 0.5 * rates[d0 + j] * times_block_inertia(i, j, work, rates)
     return energy

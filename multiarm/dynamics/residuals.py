@@ -16,7 +16,7 @@ import math
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
-from multiarm.dynamics.momenta import times_arm_inertia, times_object_inertia
+from multiarm.dynamics.momenta import times_block_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
 from multiarm.dynamics.solver.factors import norm
@@ -49,10 +49,10 @@ def write_residuals(
         check.on_object = larger(check.on_object, residual)
     for i in range(work.first_joint.size - 1):
         for j in range(work.first_joint[i + 1] - work.first_joint[i]):
-            residual = times_arm_inertia(i, j, work, a) - forces[first + work.first_joint[i] + j]
+            residual = times_block_inertia(i, j, work, a) - forces[first + work.first_joint[i] + j]
             check.arm = larger(check.arm, residual)
         for row in range(work.first_contact[i], work.first_contact[i + 1]):
-            residual = rate_by_object(row, data, a_o) + rate_by_arm(i, row, work, a) - c[row]
+            residual = rate_by_object(row, data, a_o) + rate_by_block(i, row, work, a) - c[row]
             check.constraint = larger(check.constraint, residual)
 
 
@@ -66,7 +66,7 @@ def rate_by_object(row, data, a_o):
 
 
 @inlined
-def rate_by_arm(i, row, work, a):
+def rate_by_block(i, row, work, a):
     """``W^T a`` of a row of arm ``i``."""
     rate = 0.0
     for j in range(work.first_joint[i + 1] - work.first_joint[i]):
@@ -96,7 +96,7 @@ def constraint_residual(model, data, work):
     for i in range(work.first_joint.size - 1):
         for row in range(work.first_contact[i], work.first_contact[i + 1]):
             by_object = rate_by_object(row, data, data.accelerations.a_o)
-            by_arm, c = rate_by_arm(i, row, work, data.accelerations.a_j), data.rows.c[row]
+            by_arm, c = rate_by_block(i, row, work, data.accelerations.a_j), data.rows.c[row]
             residual = abs(by_object + by_arm - c)
             if residual != residual:
                 return residual
@@ -117,7 +117,7 @@ def free_acceleration(data):
 @inlined
 def free_rate(work):
     """Largest ``|W^T M^-1 f_j|`` of the last solution: contact accelerations without forces."""
-    if not work.status.arm_by_arm:
+    if not work.status.block_by_block:
         return largest_free_rate(work)
     largest = 0.0
     for i in range(work.first_joint.size - 1):

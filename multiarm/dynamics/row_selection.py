@@ -229,7 +229,7 @@ def write_selection(
     model, data, work = open_system(struct)
     copy(of_owners, data.rows.first)
     copy(of_blocks, work.first_contact)
-    work.status.arm_by_arm = False
+    work.status.block_by_block = False
     select_rows(constants.contacts, rows, model.contacts)
     select_joint_rows(model.contacts.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)

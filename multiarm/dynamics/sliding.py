@@ -57,7 +57,7 @@ class Slides(NamedTuple):
 
     numbers: FrictionNumbers
     row: Ints1  # among the held rows
-    arm: Ints1
+    block: Ints1
     tangent: Ints1  # first of two, among the rows of the tangents
     tangent_of_all: Ints1  # the same among all rows
     mu: Floats1  # coefficient of friction; negative where the force pulls
@@ -115,7 +115,7 @@ def write_reactions(data, work, Wr_o, slides, reactions):
             for a in range(work.first_contact[i + 1] - work.first_contact[i]):
                 reactions.Wr[i, j, a] = work.W[i, j, a]
     for s in range(slides.row.size):
-        row, i, t = slides.row[s], slides.arm[s], slides.tangent[s]
+        row, i, t = slides.row[s], slides.block[s], slides.tangent[s]
         along, across = slip_of(sideways.rows.kinematics, t)
         write_direction(slides, s, along, across)
         first, second = friction_of_unit_force(slides, s)

@@ -27,7 +27,7 @@ from multiarm.dynamics.coordinates import equation_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     column_of_all,
-    columns_of_arm,
+    columns_of_block,
     equation_work,
     open_equations,
     open_links,
@@ -115,7 +115,7 @@ def add_loads(struct, equations, friction):
     for i in range(system.first_joint.size - 1):
         n = system.first_joint[i + 1] - system.first_joint[i]
         for j in range(n):
-            for c in range(columns_of_arm(i, n, links, work).end):
+            for c in range(columns_of_block(i, n, links, work).end):
                 work.dF[i, j, c] += sideways.dF[i, j, c]
 
 
@@ -130,13 +130,13 @@ def differentiate_slip(s, struct, equations, friction):
     )
     _, sliding, tangents = open_system(referenced(data.modes.tangents))
     slides, at = slides_of(data), equation_columns(data)
-    i, t, slow = slides.arm[s], slides.tangent[s], slides.numbers.slow
+    i, t, slow = slides.block[s], slides.tangent[s], slides.numbers.slow
     d0, n, column = (
         system.first_joint[i],
         system.first_joint[i + 1] - system.first_joint[i],
         t - tangents.first_contact[i],
     )
-    columns, normal = columns_of_arm(i, n, links, work), data.rows.force[slides.row[s]]
+    columns, normal = columns_of_block(i, n, links, work), data.rows.force[slides.row[s]]
     friction_0, friction_1 = friction_of_unit_force(slides, s)
     along_0, along_1 = slides.direction[s, 0], slides.direction[s, 1]
     d_0, d_1 = slides.turning[s, 0], slides.turning[s, 1]
@@ -169,7 +169,7 @@ def add_reactions(s, struct, equations):
     _, data, system = open_system(struct)
     work, slides = open_equations(equations), slides_of(data)
     _, sliding, tangents = open_system(referenced(data.modes.tangents))
-    i, t, row = slides.arm[s], slides.tangent[s], slides.row[s]
+    i, t, row = slides.block[s], slides.tangent[s], slides.row[s]
     n, column = system.first_joint[i + 1] - system.first_joint[i], t - tangents.first_contact[i]
     first, second = friction_of_unit_force(slides, s)
     for l in range(work.Wr_o.shape[1]):

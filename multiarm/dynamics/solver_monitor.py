@@ -1,15 +1,15 @@
 """Monitor of the solver: rank and residual at the end of every step, and their changes.
 
-Three numbers are recorded: the rank of the constraints, the number of arms in the coupled system
+Three numbers are recorded: the rank of the constraints, the number of blocks in the coupled system
 (:mod:`multiarm.dynamics.solver.singular`), and the largest constraint residual relative to the
 largest term of its equations.  Where the residual is above ``RESIDUAL_BOUND``, the equations are
-solved again with every arm decomposed; if it stays too large, the step is rejected.  The object's
+solved again with every block decomposed; if it stays too large, the step is rejected.  The object's
 equation is treated likewise when it is solved (:func:`multiarm.dynamics.residuals.imbalance`).
 
-An arm that is not eliminated as a whole *loses a direction* when, for the same force, it moves
+A block that is not eliminated as a whole *loses a direction* when, for the same force, it moves
 along it by less than ``LOST`` of the motion along its best one.  It regains the direction at a
 larger ratio (hysteresis).  A step may also jump over a singular posture; then the determinant of
-the arm's square ``W`` has changed its sign.
+the block's square ``W`` has changed its sign.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ def evaluate_and_check(struct: INTS):
 def record_solution(address, size, _a, _b):
     """Write the residual of the last solution into ``data.solution``.
 
-    Where the residual is too large, the equations are solved again with every arm decomposed.
+    Where the residual is too large, the equations are solved again with every block decomposed.
     """
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    solution, arms = data.solution, data.bodies.pointers.shape[0]
+    solution, blocks = data.solution, data.bodies.pointers.shape[0]
     solution.residual = residual_of_all(model, data, work)
     # modes have solutions of their own
     repeatable = solution.elimination != DENSE and not data.modes.active
     solved = believable(solution, solution.residual)
-    if not solved and repeatable and solution.coupled_arms < arms:
+    if not solved and repeatable and solution.coupled_blocks < blocks:
         if call_cfunc(data.functions.decomposed, struct, 0.0, 0.0) != OK:
             solution.imbalance = math.nan
         solution.residual = residual_of_all(model, data, work)
@@ -93,7 +93,7 @@ def compare_solution(address, size, _a, _b):
     _, data, work = open_system(struct)
     solution, step, before = data.this_step.solution, data.this_step, data.last_step
     solution.known, solution.rank, solution.margin = 1, data.solution.rank, data.solution.margin
-    solution.coupled_arms = data.solution.coupled_arms
+    solution.coupled_blocks = data.solution.coupled_blocks
     solution.motion_unique = data.solution.motion_unique
     solution.residual = data.solution.residual
     solution.correction = max(data.status.position_change, data.status.velocity_change)
@@ -104,7 +104,7 @@ def compare_solution(address, size, _a, _b):
         step.lost_directions[i] = before.lost_directions[i]
         step.determinant_signs[i] = before.determinant_signs[i]
     elimination = data.solution.elimination
-    if elimination != WHOLE and elimination != SPLIT:  # no directions of arms
+    if elimination != WHOLE and elimination != SPLIT:  # no directions of blocks
         return OK
     coupled = open_coupled(struct)
     for i in range(step.lost_directions.size):
@@ -130,7 +130,7 @@ def accept_solution(data):
     """Make the solution of this step that of the last one."""
     solution, last = data.this_step.solution, data.last_step.solution
     last.known, last.rank, last.margin = solution.known, solution.rank, solution.margin
-    last.coupled_arms, last.motion_unique = solution.coupled_arms, solution.motion_unique
+    last.coupled_blocks, last.motion_unique = solution.coupled_blocks, solution.motion_unique
     last.residual, last.correction = solution.residual, solution.correction
     last.changes = solution.changes
     copy(data.this_step.lost_directions, data.last_step.lost_directions)
@@ -140,7 +140,7 @@ def accept_solution(data):
 
 @kernel
 def count_lost(i, before, work, coupled):
-    """Number of lost directions of a deficient arm, with hysteresis."""
+    """Number of lost directions of a deficient block, with hysteresis."""
     fewest = most = 0
     for a in range(work.first_contact[i], work.first_contact[i + 1]):
         share = coupled.sigma[a] / coupled.scale[i] if coupled.scale[i] > 0.0 else 0.0
@@ -153,7 +153,7 @@ def count_lost(i, before, work, coupled):
 
 @kernel
 def determinant_sign(i, work, coupled):
-    """Sign of ``det(W)`` of a regular arm with as many contacts as joints, from its LU factors.
+    """Sign of ``det(W)`` of a regular block with as many contacts as joints, from its LU factors.
 
     0 where it is not known.
     """

@@ -1,7 +1,7 @@
 """Status codes of compiled code, each in one place.
 
-Kernels return them as plain integers, which have the names below.  Which arm, control law or effect
-failed is in :class:`multiarm.dynamics.variables.Status`.
+Kernels return them as plain integers, which have the names below.  Which block, control law or
+effect failed is in :class:`multiarm.dynamics.variables.Status`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ class StatusCode(IntEnum):
     PROJECTION_FAILED = -3
     NOT_FINITE = -4
     CONTRADICTION = -5  # no acceleration meets all constraints
-    DEFICIENT = -6  # an arm has a pivot too small for the plain elimination
+    DEFICIENT = -6  # a block has a pivot too small for the plain elimination
     SINGULAR = -7  # a matrix of the derivatives
-    ARM_INERTIA = -8  # that of an arm is not positive definite
-    ARM_NOT_FINITE = -9  # numbers of an arm
+    BLOCK_INERTIA = -8  # that of a block is not positive definite
+    BLOCK_NOT_FINITE = -9  # numbers of a block
     OBJECT_INERTIA = -10  # the object's, or its node matrix, is not positive definite
     KERNEL_FAILED = -11  # a control law or an effect returned an answer of its own
     # why the time loop returned
@@ -47,8 +47,8 @@ NOT_FINITE = int(StatusCode.NOT_FINITE)
 CONTRADICTION = int(StatusCode.CONTRADICTION)
 DEFICIENT = int(StatusCode.DEFICIENT)
 SINGULAR = int(StatusCode.SINGULAR)
-ARM_INERTIA = int(StatusCode.ARM_INERTIA)
-ARM_NOT_FINITE = int(StatusCode.ARM_NOT_FINITE)
+BLOCK_INERTIA = int(StatusCode.BLOCK_INERTIA)
+BLOCK_NOT_FINITE = int(StatusCode.BLOCK_NOT_FINITE)
 OBJECT_INERTIA = int(StatusCode.OBJECT_INERTIA)
 KERNEL_FAILED = int(StatusCode.KERNEL_FAILED)
 FINISHED = int(StatusCode.FINISHED)

@@ -31,7 +31,7 @@ class Status(Numbers):
     """What evaluations and projections leave behind beside arrays."""
 
     failed: Flag  # a Python function that compiled code called has raised an exception
-    arm: Int  # of the last ``ARM_INERTIA`` or ``ARM_NOT_FINITE``
+    block: Int  # of the last ``BLOCK_INERTIA`` or ``BLOCK_NOT_FINITE``
     kernel: Int  # address of the control law, effect or derivative of the last ``KERNEL_FAILED``, 0
     answer: Int  # that this returned
     position_change: Float  # largest change of a coordinate by the last projection [m, rad]
@@ -127,7 +127,7 @@ class StepSolution(Numbers):
 
     known: Flag  # there is one: a run has begun
     rank: Int
-    coupled_arms: Int
+    coupled_blocks: Int
     motion_unique: Flag
     margin: Float
     residual: Float
@@ -223,8 +223,8 @@ class Interpolation(NamedTuple):
     acceleration: Floats1  # interpolated
 
 
-class DeficientArms(NamedTuple):
-    """Which arms (n,) the solution could not eliminate as a whole."""
+class DeficientBlocks(NamedTuple):
+    """Which blocks (n,) the solution could not eliminate as a whole."""
 
     coupled: Ints1  # these, where ``solution`` has any
     undetermined: Ints1  # their contact forces take part in a motion that is not unique
@@ -320,7 +320,7 @@ class Variables(NamedTuple):
     forces: GeneralisedForces
     accelerations: Accelerations
     solution: Solution
-    deficient: DeficientArms
+    deficient: DeficientBlocks
     dense: DenseCall
     check: Check
     last_step: StepEnd
@@ -398,7 +398,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
         forces=forces,
         accelerations=accelerations,
         solution=UNSOLVED.copy(),
-        deficient=DeficientArms(
+        deficient=DeficientBlocks(
             coupled=np.zeros(blocks, dtype=np.int64), undetermined=np.zeros(blocks, dtype=np.int64)
         ),
         dense=DenseCall(),

@@ -208,8 +208,8 @@ def solve_sliding(address, size, _a, _b):
 def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
-    work.status.arm_by_arm = True
-    status, data.status.arm = eliminate_with_reactions(
+    work.status.block_by_block = True
+    status, data.status.block = eliminate_with_reactions(
         reactions, rows.W_o, mode.Wr_o, data.bodies.object_inertia, couple_all
     )
     copy(reactions.pivot, work.pivot)
@@ -230,14 +230,14 @@ def write_reaction_solution(data, reactions):
 
     Arms are coupled for the digits, too; they count where some of their constraints are dependent.
     """
-    dependent, coupled_arms = reactions.status.contacts - reactions.status.rank, 0
+    dependent, coupled_blocks = reactions.status.contacts - reactions.status.rank, 0
     for i in range(reactions.coupled.size):
         data.deficient.undetermined[i] = reactions.undetermined[i]
         data.deficient.coupled[i] = reactions.coupled[i]
-        coupled_arms += reactions.coupled[i]
+        coupled_blocks += reactions.coupled[i]
     unique = 1 if reactions.status.motions == 0 else 0
     write_solution(
-        data, FRICTION, coupled_arms if dependent > 0 else 0, dependent, math.inf, unique
+        data, FRICTION, coupled_blocks if dependent > 0 else 0, dependent, math.inf, unique
     )
 
 

@@ -203,7 +203,7 @@ class Modes:
         if not s:
             return
         slides.row[:s] = held[of_all.row[sliding]]
-        slides.arm[:s], slides.mu[:s] = of_all.arm[sliding], of_all.mu[sliding]
+        slides.block[:s], slides.mu[:s] = of_all.block[sliding], of_all.mu[sliding]
         slides.mu[:s] *= [mode.side(u) for u in sliding]
         slides.tangent_of_all[:s] = of_all.tangent_of_all[sliding]
         slides.turning[:s], slides.speed[:s] = 0.0, 0.0
@@ -244,7 +244,7 @@ class Modes:
         of_all = Slides(
             numbers=FrictionNumbers(slow=self.slow, power=_power_of_friction(self.full)),
             row=rows,
-            arm=np.searchsorted(bounds, rows, side="right").astype(np.int64) - 1,
+            block=np.searchsorted(bounds, rows, side="right").astype(np.int64) - 1,
             tangent=2 * np.arange(count, dtype=np.int64),
             tangent_of_all=np.array(tangents, dtype=np.int64),
             mu=np.array([constraint.mu for constraint in constraints]),

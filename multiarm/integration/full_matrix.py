@@ -48,7 +48,7 @@ import numpy as np
 
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import (
-    arm_columns,
+    block_columns,
     chart_places,
     column_of_displacement,
     column_of_state,
@@ -59,13 +59,13 @@ from multiarm.dynamics.coordinates import (
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
-    columns_of_arm,
+    columns_of_block,
     gap_weight,
     open_equations,
     open_links,
     separate_dependent_rows,
     solve_at_once,
-    solve_by_arms,
+    solve_by_blocks,
     stack_matrix,
     write_derivatives,
 )
@@ -87,7 +87,7 @@ from multiarm.dynamics.sliding_derivatives import (
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.integration.arm_stages import turn_frames
+from multiarm.integration.block_stages import turn_frames
 from multiarm.integration.near_singular import ZONE, may_cross
 from multiarm.integration.step import Step, slope_at
 from multiarm.jit.kernels import allocating, clear, copy, greatest, inlined, kernel, larger
@@ -225,7 +225,7 @@ def solve_equations(struct, full):
     for l in range(chart_places(data).joints):
         dF_o[l, wrench + l] = -1.0
     if data.solution.elimination == WHOLE:
-        return solve_by_arms(struct, full.equations, full.solution)
+        return solve_by_blocks(struct, full.equations, full.solution)
     if data.solution.motion_unique:
         return solve_at_once(struct, full.equations, full.solution)
     return solve_open_motion(struct, full.equations, full.friction, full.solution)
@@ -257,8 +257,8 @@ def add_friction_power(struct, full):
     slides, friction, columns = slides_of(data), open_friction(full.friction), force_columns(data)
     first = data.state.velocity.size + data.effects.states.size
     for s in range(slides.row.size):
-        i, mu, row = slides.arm[s], slides.mu[s], slides.row[s]
-        of_arm = arm_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
+        i, mu, row = slides.block[s], slides.mu[s], slides.row[s]
+        of_arm = block_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
         pull = mu * data.rows.force[row]
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):
@@ -304,7 +304,7 @@ def differentiate_projection(struct, full):
         clear(Y[i])
     for i in range(system.first_joint.size - 1):
         d0, n = system.first_joint[i], system.first_joint[i + 1] - system.first_joint[i]
-        columns = columns_of_arm(i, n, links, equations)
+        columns = columns_of_block(i, n, links, equations)
         for k in range(system.first_contact[i], system.first_contact[i + 1]):
             row, by_gap = Y[nv + k], gap_weight(model, k)
             for l in range(nv):

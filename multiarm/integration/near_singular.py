@@ -52,7 +52,7 @@ def evaluate_on_branch(struct, gap_tolerance, projected, alpha, beta):
         status = evaluate_state(struct, alpha, beta)
     data = open_data(struct)
     data.interpolation.numbers.evaluations = 0
-    if status != OK or data.solution.coupled_arms == 0:
+    if status != OK or data.solution.coupled_blocks == 0:
         return status
     data.interpolation.numbers.gap = gap_tolerance
     return call_cfunc(data.functions.near_singular, struct, alpha, beta)

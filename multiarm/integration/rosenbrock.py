@@ -19,7 +19,7 @@ chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, [o
 and so :math:`R = (1/\gamma - hB)^{-1}` is written down.
 
 Where control and effects are local, gravity compensation besides, the system falls apart into arms,
-at a cost that is linear in them (:mod:`multiarm.integration.arm_blocks`).  Elsewhere it is one
+at a cost that is linear in them (:mod:`multiarm.integration.block_matrices`).  Elsewhere it is one
 matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of arms grows the
 cost of its derivatives, with the cube that of its factors; for few arms both are small.
 
@@ -43,9 +43,14 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.force_derivatives import prepare_derivatives
 from multiarm.dynamics.status import NOT_FINITE, OK, SINGULAR
-from multiarm.integration.arm_blocks import ArmBlocks, acts_locally, is_regular, make_arm_blocks
-from multiarm.integration.arm_derivatives import differentiate_arms, write_time_slope
-from multiarm.integration.arm_stages import factor_stages, solve_arm_stage
+from multiarm.integration.block_derivatives import differentiate_blocks, write_time_slope
+from multiarm.integration.block_matrices import (
+    BlockMatrices,
+    acts_locally,
+    is_regular,
+    make_block_matrices,
+)
+from multiarm.integration.block_stages import factor_stages, solve_block_stage
 from multiarm.integration.full_matrix import (
     FullMatrix,
     differentiate_full,
@@ -62,7 +67,7 @@ class Derived(Numbers):
     """The derivatives in the arrays: what they are for, besides the state."""
 
     valid: Flag
-    arm_by_arm: Flag  # they are in ``ArmBlocks``; else in ``FullMatrix``
+    block_by_block: Flag  # they are in ``BlockMatrices``; else in ``FullMatrix``
     alpha: Float
     beta: Float
     projects: Flag  # as in ``Stage``
@@ -82,20 +87,20 @@ class RosenbrockWork(NamedTuple):
         return self.slope, self.right, self.time_slope, self.derived.struct
 
 
-def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, ArmBlocks, FullMatrix]:
+def make_rosenbrock(data: Data, step: Step) -> tuple[RosenbrockWork, BlockMatrices, FullMatrix]:
     """Allocate the arrays of a Rosenbrock method's steps."""
     slope, right, time_slope = np.zeros((3, step.z.size))
     work = RosenbrockWork(slope, right, time_slope, Derived())
     prepare_derivatives(data)
     _, equations = equation_work(data, equation_columns(data.arrays).end)
-    blocks = make_arm_blocks(data, step, equations)
+    blocks = make_block_matrices(data, step, equations)
     return work, blocks, make_full_matrix(data, step, equations)
 
 
 _view_work = view(RosenbrockWork, METHOD_WORK)
 _BLOCKS = METHOD_WORK + count_entries(RosenbrockWork)
-_view_blocks = view(ArmBlocks, _BLOCKS)
-_view_full = view(FullMatrix, _BLOCKS + count_entries(ArmBlocks))
+_view_blocks = view(BlockMatrices, _BLOCKS)
+_view_full = view(FullMatrix, _BLOCKS + count_entries(BlockMatrices))
 
 
 @cfunc
@@ -114,7 +119,7 @@ def rosenbrock_step(address, size, t, h):
     places = chart_places(open_data(step.system))
     velocity, gamma, right = step.z[places.velocity : places.states], method.gamma, work.right
     projects = step.stage.projects != 0
-    if work.derived.arm_by_arm:
+    if work.derived.block_by_block:
         usable = factor_stages(gamma, blocks, step.system, velocity, h)
     else:
         usable = factor_full(gamma, full, step.system, projects, velocity, h)
@@ -133,8 +138,8 @@ def rosenbrock_step(address, size, t, h):
                 right[l] += weight * step.k[j, l]
         for l in range(right.size):
             right[l] += h * method.d[i] * work.time_slope[l]
-        if work.derived.arm_by_arm:
-            solve_arm_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])
+        if work.derived.block_by_block:
+            solve_block_stage(gamma, blocks, step.system, velocity, h, right, step.k[i])
         else:
             solve_full_stage(gamma, full, step.system, projects, velocity, h, right, step.k[i])
     combine(step, method.b, method.stages, h, step.z_new)
@@ -162,14 +167,14 @@ def differentiate_step(step, work, blocks, full, t, h):
 @kernel
 def differentiate_anew(step, work, blocks, full, t, h):
     """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
-    work.derived.arm_by_arm = False
+    work.derived.block_by_block = False
     status = slope_at(step, t, step.z, work.right)
     if status != OK:
         return status
     if not step.stage.projects and acts_locally(step) and is_regular(step.system):
-        status = differentiate_arms(step, blocks, h)
+        status = differentiate_blocks(step, blocks, h)
         if status != SINGULAR:
-            work.derived.arm_by_arm = True
+            work.derived.block_by_block = True
             write_time_slope(blocks, step.system, work.time_slope)
             return status
     return differentiate_full(step, full, work.slope, work.time_slope, t, h)

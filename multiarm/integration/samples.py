@@ -65,7 +65,7 @@ def write_sample(struct, t, works, row):
     row[at], row[at + 1] = kinetic_energy(data, work), potential_energy(struct)
     row[at + 2] = works[last]
     row[at + 3], row[at + 4] = greatest_gaps(data.rows.kinematics)
-    row[at + 5], row[at + 6] = data.solution.rank, data.solution.coupled_arms
+    row[at + 5], row[at + 6] = data.solution.rank, data.solution.coupled_blocks
     row[at + 7] = data.solution.residual
     return CALLBACK_FAILED if data.status.failed else status
 

@@ -407,7 +407,7 @@ def count_solution(solution, clock):
     """Statistics of how the end of an accepted step was solved."""
     clock.lowest_rank = min(clock.lowest_rank, solution.rank)
     clock.highest_rank = max(clock.highest_rank, solution.rank)
-    if solution.coupled_arms > 0:
+    if solution.coupled_blocks > 0:
         clock.coupled_steps += 1
     if not solution.motion_unique:
         clock.ambiguous_steps += 1

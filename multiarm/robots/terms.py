@@ -159,8 +159,8 @@ class CoriolisCalls(Numbers):
 
     callback: Int  # Pinocchio's
     compiled: Int  # with the address and the size of its struct:
-    compiled_struct: Int
-    compiled_size: Int
+    arms_struct: Int
+    arms_size: Int
 
 
 class MatrixAddress(NamedTuple):

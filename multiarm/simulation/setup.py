@@ -231,7 +231,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     first_length = float(spec.step) if spec.step is not None else 1e-3  # [s]
     step.stage.alpha, step.stage.beta = gains(settings, first_length)
     _first_slope(task, stepping)
-    if settings.stabilization == PROJECTION and data.arrays.solution.coupled_arms:
+    if settings.stabilization == PROJECTION and data.arrays.solution.coupled_blocks:
         # two motions may cross at the start
         step.stage.projects, step.stage.gap = True, settings.gap_tolerance
         _first_slope(task, stepping)

@@ -15,7 +15,7 @@ from timing import fitted_slope
 import multiarm as ma
 from multiarm.dynamics.solver import batched
 from multiarm.dynamics.solver.dense import solve_dense
-from multiarm.dynamics.solver.node import ArmGroup, make_work
+from multiarm.dynamics.solver.node import BlockGroup, make_work
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
@@ -127,14 +127,14 @@ def one_arm_a_group(n, d, N):
     work, one = make_work([d] * n, [N] * n), make_work([d], [N]).groups
     arms, lanes = np.arange(n), np.arange(n)[:, None]
     group = np.repeat(one.group, n, axis=0)
-    fields_of(ArmGroup, group).first[:] = arms * (one.tables.size // LANES)
+    fields_of(BlockGroup, group).first[:] = arms * (one.tables.size // LANES)
     groups = one._replace(
         group=group,
         arms=np.repeat(lanes, LANES, axis=1),
         joint_index=one.joint_index + d * lanes,
         contact_index=one.contact_index + N * lanes,
         contact_present=np.repeat(one.contact_present, n, axis=0),
-        arm_present=np.repeat(one.arm_present, n, axis=0),
+        block_present=np.repeat(one.block_present, n, axis=0),
         stiffness=np.repeat(one.stiffness, n, axis=0),
         tables=np.zeros(n * one.tables.size),
     )

@@ -104,7 +104,7 @@ def test_derivatives_of_steps_are_those_of_differences(case, gains, tmp_path, rn
     state = random_state(system, rng, turn=0.3, speed=0.5)
     nv, exact = 6 + system.model.layout.joints, Slope(system, state, *gains)
     steps = [step_of_the_package(s, state, 1e-3, *gains) for s in (system, coupled(system))]
-    assert [bool(step.work[0].derived.arm_by_arm) for step in steps] == [True, False]
+    assert [bool(step.work[0].derived.block_by_block) for step in steps] == [True, False]
     J = exact.jacobian(steps[0].step.tolerance.size, 3e-3)[nv:]
     # gaps of about a metre, times beta^2, make accelerations whose roundings the differences have
     bound = max(ORDER_8, 1e-10 * np.max(np.abs(exact(0.0, exact.z)[nv:])))

@@ -14,9 +14,9 @@ from mechanics import EPS
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.dense import null_space, solve_dense
-from multiarm.dynamics.solver.node import eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_blocks, make_work
 from multiarm.dynamics.solver.singular import couple, make_coupled
-from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, DEFICIENT, OK
+from multiarm.dynamics.status import BLOCK_INERTIA, BLOCK_NOT_FINITE, DEFICIENT, OK
 
 shapes = st.lists(
     st.integers(1, 16).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, min(n, 6)))),
@@ -138,9 +138,9 @@ def test_numbers_that_are_not_finite_never_count_as_solved(which, value):
     found = np.zeros(6), np.zeros(9), np.zeros(5)
     assert solve_batched(work, W_o, system.M_o, *right, *found) == DEFICIENT
     if which == "M":
-        assert eliminate_arms(work, W_o) == (ARM_NOT_FINITE, 1) and work.pivot[1] == 0.0
+        assert eliminate_blocks(work, W_o) == (BLOCK_NOT_FINITE, 1) and work.pivot[1] == 0.0
     else:
-        assert eliminate_arms(work, W_o) == (OK, 0)
+        assert eliminate_blocks(work, W_o) == (OK, 0)
         assert not couple(work, coupled, W_o, system.M_o, False) > 0.0
 
 
@@ -286,7 +286,12 @@ def test_a_deficient_arm_among_regular_ones_is_found(rng, which):
 @pytest.mark.parametrize("which", [0, 3, 4, 8])
 @pytest.mark.parametrize(
     "inertia, failure",
-    [(0.0, ARM_INERTIA), (-1.0, ARM_INERTIA), (np.nan, ARM_NOT_FINITE), (np.inf, ARM_NOT_FINITE)],
+    [
+        (0.0, BLOCK_INERTIA),
+        (-1.0, BLOCK_INERTIA),
+        (np.nan, BLOCK_NOT_FINITE),
+        (np.inf, BLOCK_NOT_FINITE),
+    ],
 )
 def test_an_arm_without_inertia_is_named(rng, which, inertia, failure):
     system = random_system(rng, SIZES)
@@ -294,7 +299,7 @@ def test_an_arm_without_inertia_is_named(rng, which, inertia, failure):
     node_work = loaded(system)
     assert solve_in(node_work, system)[0] == DEFICIENT
     W_o = np.ascontiguousarray(np.hstack(system.W_o).T)
-    assert eliminate_arms(node_work, W_o) == (failure, which)
+    assert eliminate_blocks(node_work, W_o) == (failure, which)
     assert node_work.pivot[which] == 0.0
 
 

@@ -24,7 +24,7 @@ from multiarm.dynamics.solver.reactions import (
     make_reaction_work,
     solve_for_reactions,
 )
-from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OBJECT_INERTIA, OK
+from multiarm.dynamics.status import BLOCK_INERTIA, BLOCK_NOT_FINITE, OBJECT_INERTIA, OK
 
 
 def solve_with_reactions(
@@ -61,7 +61,9 @@ def solve_with_reactions(
             work.Wr[i, : dofs[i], : rows[i]] = forces
         failure, arm = eliminate_with_reactions(work, W_o, Wr_o, np.array(M_o, float), couple_all)
         if failure != OK:
-            part = f"arm {arm + 1}" if failure in (ARM_INERTIA, ARM_NOT_FINITE) else "the object"
+            part = (
+                f"arm {arm + 1}" if failure in (BLOCK_INERTIA, BLOCK_NOT_FINITE) else "the object"
+            )
             raise ValueError(
                 f"{part}: the inertia matrix is not positive definite, or a number is not finite"
             )
@@ -78,7 +80,7 @@ def solve_with_reactions(
         unique=np.split(np.linalg.norm(free, axis=0) < PART_TOLERANCE, bounds),
         rank=len(force) - (status.contacts - status.rank),
         motion_unique=not status.motions,
-        undetermined_arms=tuple(np.flatnonzero(work.undetermined).tolist()),
+        undetermined_blocks=tuple(np.flatnonzero(work.undetermined).tolist()),
     )
 
 
@@ -101,7 +103,7 @@ def flat(solution):
         unique=np.concatenate(solution.unique).tolist(),
         rank=solution.rank,
         motion_unique=solution.motion_unique,
-        undetermined_arms=solution.undetermined_arms,
+        undetermined_blocks=solution.undetermined_blocks,
     )
 
 
@@ -137,7 +139,7 @@ def assert_same(found, expected, tol):
     scale = max(np.max(np.abs(expected.force)), 1e-6)
     np.testing.assert_allclose(found.x, expected.x, atol=tol * np.max(np.abs(expected.x)))
     np.testing.assert_allclose(found.force, expected.force, atol=tol * scale)
-    for field in ("rank", "unique", "motion_unique", "undetermined_arms"):
+    for field in ("rank", "unique", "motion_unique", "undetermined_blocks"):
         assert getattr(found, field) == getattr(expected, field), field
 
 
@@ -314,7 +316,7 @@ def test_only_arms_that_cannot_follow_are_coupled(rng):
 
 @pytest.mark.parametrize(
     "matrix, value, failure",
-    [("M", -1.0, ARM_INERTIA), ("M", np.nan, ARM_NOT_FINITE), ("W", np.nan, ARM_NOT_FINITE)],
+    [("M", -1.0, BLOCK_INERTIA), ("M", np.nan, BLOCK_NOT_FINITE), ("W", np.nan, BLOCK_NOT_FINITE)],
 )
 def test_the_arm_that_fails_is_told_apart_from_its_failure(matrix, value, failure, rng):
     system = random_system(rng, [(6, 3)] * 3)
@@ -412,7 +414,7 @@ def test_forces_that_no_constraint_sees_but_that_move_the_system_are_told(solver
         reactions[key][1][:, 2] += 0.2 * rng.standard_normal(len(reactions[key][1]))
     found = flat(solver(**vars(system), **reactions))
     assert not found.motion_unique
-    assert 1 in found.undetermined_arms
+    assert 1 in found.undetermined_blocks
     assert found.rank == 7 and relative_residual(system, found) < 1e-12
     assert_solves(found, system, reactions)
     # another solution, with other accelerations, found without the solver
@@ -449,7 +451,7 @@ def test_a_contact_whose_force_cannot_close_its_own_gap_is_told(solver, consiste
         system.c = np.split(c, [first[1]])
     found = flat(solver(**vars(system), **reactions))
     assert not found.motion_unique
-    assert 0 in found.undetermined_arms
+    assert 0 in found.undetermined_blocks
     assert found.rank == count  # the constraints themselves are independent
     assert_solves(found, system, reactions)
     if consistent:

@@ -42,14 +42,14 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW
-from multiarm.dynamics.solver.node import eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_blocks, make_work
 from multiarm.dynamics.solver.singular import (
     couple,
     make_coupled,
     solve_coupled,
     undetermined_parts,
 )
-from multiarm.dynamics.status import ARM_INERTIA, DEFICIENT, OK
+from multiarm.dynamics.status import BLOCK_INERTIA, DEFICIENT, OK
 from multiarm.problems import HARD_CASES
 from multiarm.problems.postures import STRETCHED
 
@@ -80,7 +80,7 @@ def eliminated(system):
     found = np.zeros(6), np.zeros(f_j.size), np.zeros(c.size)
     status = solve_batched(work, object_rows(system), system.M_o, system.f_o, f_j, c, *found)
     if status == DEFICIENT:
-        failure, _ = eliminate_arms(work, object_rows(system))
+        failure, _ = eliminate_blocks(work, object_rows(system))
         status = DEFICIENT if failure == OK else failure
     return work, coupled, status, found
 
@@ -98,7 +98,7 @@ def solved(system, force_coupling=()):
     f_j, c = np.concatenate(system.f_j), np.concatenate(system.c)
     rank, solvable = c.size, status == OK
     if force_coupling:
-        eliminate_arms(work, object_rows(system))
+        eliminate_blocks(work, object_rows(system))
         work.pivot[list(force_coupling)] = 0.0
     if status == DEFICIENT or force_coupling:
         solvable = couple(work, coupled, object_rows(system), system.M_o, False) > 0.0
@@ -231,7 +231,7 @@ def test_regular_systems_are_those_of_the_exact_solution_too(seed, shapes):
     terms = max(np.max(np.abs(least_norm(M, f_j, W, 0.0 * c).force)), np.max(np.abs(exact.force)))
     assert relative(node.x, exact.x) < 1e-12
     assert np.max(np.abs(node.force - exact.force)) < 1e-12 * terms
-    assert node.coupled.status.arms == 0
+    assert node.coupled.status.blocks == 0
 
 
 # --- constraints that contradict each other, forces that are not determined ----------------------
@@ -317,7 +317,7 @@ def test_directions_that_no_joint_moves_add_unknowns_but_no_rows():
     system = random_system(np.random.default_rng(1), [(2, 6), (6, 6), (2, 5)])
     make_consistent(system, np.random.default_rng(2))
     node = solved(system)
-    assert node.coupled.status.arms == 2
+    assert node.coupled.status.blocks == 2
     assert node.coupled.status.unknowns == 4 + 3
     assert node.coupled.status.movable == 0
     assert node.coupled.status.rank == 6
@@ -360,7 +360,7 @@ def test_both_paths_give_one_solution_as_far_as_the_linear_one_goes(share):
     work, _, status, _ = eliminated(system)
     assert status == OK and work.pivot[0] > COUPLED_BELOW
     linear, coupled = solved(system), solved(system, force_coupling=[0])
-    assert (linear.coupled.status.arms, coupled.coupled.status.arms) == (0, 1)
+    assert (linear.coupled.status.blocks, coupled.coupled.status.blocks) == (0, 1)
     assert coupled.coupled.status.unknowns == (1 if share < 1e-2 else 0)
     assert relative(coupled.x, linear.x) < 1e-11
     assert relative(coupled.force, linear.force) < 1e-11
@@ -488,8 +488,8 @@ def test_inertias_that_are_not_positive_definite_are_refused(joints, which):
     system = random_system(np.random.default_rng(7), [(joints, 4), (5, 2)])
     system.M[which][-1, -1] = -1.0
     work, _, status, _ = eliminated(system)
-    assert status == ARM_INERTIA
-    assert eliminate_arms(work, object_rows(system)) == (ARM_INERTIA, which)
+    assert status == BLOCK_INERTIA
+    assert eliminate_blocks(work, object_rows(system)) == (BLOCK_INERTIA, which)
     system = random_system(np.random.default_rng(7), [(joints, 4), (5, 2)])
     system.M_o[5, 5] = -100.0
     assert not solved(system, force_coupling=[0]).solvable

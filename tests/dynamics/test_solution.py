@@ -95,7 +95,7 @@ def test_the_record_is_that_of_the_system(scene, solver):
     dense = solver == "dense"
     assert solution.elimination == (Elimination.DENSE if dense else BY_NODE[scene])
     assert solution.rank == null_space(constraint_matrix(data)).rank
-    assert (solution.coupled_arms > 0) == (not dense and scene != "regular")
+    assert (solution.coupled_blocks > 0) == (not dense and scene != "regular")
     if scene == "wrist aligned" and not dense:
         assert b.deficient.coupled.tolist() == [1, 0]
     assert solution.motion_unique == (scene != "sliding")

@@ -141,7 +141,7 @@ def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp
     exact = Slope(system, state, alpha, beta)
     assert exact.data.arrays.solution.motion_unique == (not name.startswith("spinning"))
     stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
-    assert not stepping.work[0].derived.arm_by_arm
+    assert not stepping.work[0].derived.block_by_block
     n = 6 + system.model.layout.joints
     J = exact.jacobian(stepping.step.tolerance.size)[n:]
     by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)
@@ -197,7 +197,7 @@ def test_derivatives_of_projected_stages_are_those_of_projected_evaluations(name
         slope = Slope(system, state, projects=True)
         J = slope.jacobian(2 * n, displacement)
         stepping = step_of_the_package(system, state, 1e-3, projects=True)
-        full, deficient = stepping.work[2], slope.data.arrays.solution.coupled_arms > 0
+        full, deficient = stepping.work[2], slope.data.arrays.solution.coupled_blocks > 0
         exact = np.hstack([full.by_position, full.by_velocity[:, :n]])
         assert_derivatives(exact, J[n:], bound)
         of_rates = full.projection[:n]

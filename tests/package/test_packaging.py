@@ -165,7 +165,7 @@ def test_check_runs_from_the_wheel_with_its_own_robots(elsewhere, unpacked, tmp_
     shutil.copy(SCENE, tmp_path)
     elsewhere("-m", "multiarm", "check", SCENE.name, "--json", "facts.json")
     facts = json.loads((tmp_path / "facts.json").read_text(encoding="utf-8"))
-    robots = unpacked / "multiarm" / "robots"
+    robots = unpacked / "multiarm" / "robot_files"
     assert {arm["tool"] for arm in facts["arms"].values()} == {"corner_gripper"}
     for arm in facts["arms"].values():
         assert Path(arm["urdf"]) == robots / "textbook_6r" / "textbook_6r.urdf"

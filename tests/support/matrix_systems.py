@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from multiarm.dynamics.solver.batched import solve_batched
-from multiarm.dynamics.solver.node import eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_blocks, make_work
 from multiarm.dynamics.solver.singular import (
     couple,
     make_coupled,
@@ -42,7 +42,7 @@ def solve_by_node(system):
     failed = solve_batched(work, W_o, system.M_o, system.f_o, f_j, c, a_o, q, force)
     if failed == DEFICIENT:
         coupled = make_coupled(dofs, rows)
-        assert eliminate_arms(work, W_o) == (OK, 0)
+        assert eliminate_blocks(work, W_o) == (OK, 0)
         assert couple(work, coupled, W_o, system.M_o, False) > 0.0
         solve_coupled(work, coupled, system.f_o, f_j, c, a_o, q, force)
     return SimpleNamespace(failed=failed, pivot=work.pivot, x=np.concatenate([a_o, q]), force=force)

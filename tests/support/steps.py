@@ -113,7 +113,7 @@ def assert_derivatives(found, J, bound):
 def derivatives_of(system, stepping):
     """Of accelerations, inner rates and powers, by positions and by velocities and inner states."""
     work, blocks, full = stepping.work
-    if not work.derived.arm_by_arm:
+    if not work.derived.block_by_block:
         return full.by_position, full.by_velocity
     layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
     n, size = 6 + layout.joints, stepping.step.tolerance.size

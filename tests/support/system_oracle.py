@@ -45,7 +45,7 @@ from multiarm.dynamics.solver.bounds import (
     PART_TOLERANCE,
 )
 from multiarm.dynamics.solver.dense import SystemSolution, solve_dense
-from multiarm.dynamics.solver.node import eliminate_arms, make_work
+from multiarm.dynamics.solver.node import eliminate_blocks, make_work
 from multiarm.dynamics.solver.reactions import (
     eliminate_with_reactions,
     make_reaction_work,
@@ -140,7 +140,7 @@ def solve_by_node(system: System) -> SystemSolution:
         return _solution(work, loads, loads.c.size, np.ones(loads.c.size, dtype=bool))
     for decompose_all in (False, True):
         load_arms(system, work, {"W": system.W})
-        failure, _ = eliminate_arms(work, W_o)
+        failure, _ = eliminate_blocks(work, W_o)
         if failure != OK or not couple(work, coupled, W_o, system.M_o, decompose_all) > 0.0:
             raise ValueError("the node algorithm takes an inertia for indefinite")
         solve_coupled(work, coupled, *loads)

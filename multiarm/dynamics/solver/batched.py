@@ -1,8 +1,8 @@
-r"""The node algorithm on four arms at a time: the same elimination, without square roots.
+r"""The node algorithm on four blocks at a time: the same elimination, without square roots.
 
-The arms are independent of each other until their contributions to the node matrix are summed.  So
-four of them are packed into the processor's vector registers (:mod:`multiarm.jit.simd`) and
-eliminated by the same instructions.  The equations of an arm
+The blocks are independent of each other until their contributions to the node matrix are summed.
+So four of them are packed into the processor's vector registers (:mod:`multiarm.jit.simd`) and
+eliminated by the same instructions.  The equations of a block
 (:mod:`multiarm.dynamics.solver.node`), with :math:`\mu = -\lambda`, are one symmetric table
 
 .. math::
@@ -24,9 +24,9 @@ products.  Back substitution gives accelerations and forces.
 
 A table has one row for each joint and each contact, and one for the solution.  Its columns are the
 joints, the contacts, the right-hand side, and the object's six directions.  Its packs follow each
-other row by row, and a row stands for the packs from its first one on.  Arms with fewer joints or
+other row by row, and a row stands for the packs from its first one on.  Blocks with fewer joints or
 contacts than others of their group are padded by decoupled joints of inertia 1, and by contacts of
-enormous mobility without force.  Padding changes no number of the arm.
+enormous mobility without force.  Padding changes no number of the block.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from multiarm.jit.simd import (
 )
 
 PADDED_MOBILITY = 1e100
-"""Of the contacts that pad a group [1/kg]: no arm has as much, and its square is finite."""
+"""Of the contacts that pad a group [1/kg]: no block has as much, and its square is finite."""
 
 
 @inlined
@@ -58,11 +58,11 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
     Parameters
     ----------
     work : NodeWork
-        With the arms' inertias ``M`` and their ``W``.
+        With the blocks' inertias ``M`` and their ``W``.
     W_o : (N, 6), object_inertia : (6, 6)
-        The object's rows, arms stacked, and its inertia; world axes.
+        The object's rows, blocks stacked, and its inertia; world axes.
     f_o : (6,), f_j : (sum of joints,), c : (N,)
-        Right-hand sides, arms stacked.
+        Right-hand sides, blocks stacked.
     a_o : (6,), a_j : (sum of joints,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
 
@@ -71,14 +71,14 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
     int
         ``OK``; or ``DEFICIENT`` when a pivot is below ``COUPLED_BELOW``, so that too many
         digits would be lost, or an inertia is not positive definite: then nothing is solved, and
-        the arms must be eliminated one by one.  The pivots are in ``work.pivot``.
+        the blocks must be eliminated one by one.  The pivots are in ``work.pivot``.
     """
     groups, n = work.groups, work.first_joint.size - 1
-    work.status.arm_by_arm = False
+    work.status.block_by_block = False
     if not least_pivot(work, W_o, f_j, c) > COUPLED_BELOW:
         return DEFICIENT
     work.pivot[n] = solve_node(work, object_inertia, f_o, a_o)
-    # arms that are stiff in some directions leave no digits of the object's inertia in the others
+    # blocks that are stiff in some directions leave no digits of the object's inertia in the others
     if not work.pivot[n] > COUPLED_BELOW:
         return DEFICIENT
     of_object = packs_of(groups.object, 0)
@@ -93,10 +93,10 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
 
 @inlined
 def least_pivot(work, W_o, f_j, c):
-    """Eliminate all arms, four at a time; returns the smallest ``NodeWork.pivot``.
+    """Eliminate all blocks, four at a time; returns the smallest ``NodeWork.pivot``.
 
-    It is 0 where an inertia is not positive definite, and where there are no groups since some arm
-    is always deficient.
+    It is 0 where an inertia is not positive definite, and where there are no groups since some
+    block is always deficient.
     """
     groups, count = work.groups, work.groups.group.shape[0]
     least = 1.0 if count > 0 else 0.0
@@ -109,27 +109,27 @@ def least_pivot(work, W_o, f_j, c):
         fill_joint_rows(g, group, table, work, f_j)
         fill_contact_rows(g, group, table, groups, W_o, c)
         inertia, relative = eliminate_group(group, table, factors, groups.stiffness[g])
-        add_group(group, table, factors, node, groups.arm_present[g])
+        add_group(group, table, factors, node, groups.block_present[g])
         least = min(least, write_pivots(g, group, work, inertia, relative))
     return least
 
 
 @inlined
 def write_pivots(g, group, work, inertia, relative):
-    """Write the results of :func:`eliminate_group` by arm; returns the smallest pivot."""
+    """Write the results of :func:`eliminate_group` by block; returns the smallest pivot."""
     groups, least = work.groups, 1.0
     lanes = packs_of(groups.pivot, 0)
     lanes[0], lanes[1] = inertia, relative
     for lane in range(group.count):
         pivot = groups.pivot[LANES + lane]
-        work.pivot[groups.arms[g, lane]] = pivot
+        work.pivot[groups.blocks[g, lane]] = pivot
         least = min(least, pivot if groups.pivot[lane] > 0.0 else 0.0)
     return least
 
 
 @inlined
 def solve_node(work, object_inertia, f_o, a_o):
-    """Sum over the arms and solve for the object; returns the smallest relative pivot."""
+    """Sum over the blocks and solve for the object; returns the smallest relative pivot."""
     node, S = packs_of(work.groups.node, 0), work.S
     for k in range(NODE):
         row = (NODE + 1) * k
@@ -167,10 +167,10 @@ def solve_node(work, object_inertia, f_o, a_o):
 
 @inlined
 def eliminate_group(group, table, factors, stiffness):
-    """Eliminate the joints and contacts of four arms; ``stiffness`` is that of their joints.
+    """Eliminate the joints and contacts of four blocks; ``stiffness`` is that of their joints.
 
     Returns the smallest pivot of each inertia or its inverse, 0 where an inertia is not positive
-    definite, and ``NodeWork.pivot`` of each arm.
+    definite, and ``NodeWork.pivot`` of each block.
     """
     d, right, width = group.joints, group.joints + group.contacts, group.width
     one, zero, stiffness = broadcast(1.0), broadcast(0.0), packs_of(stiffness, 0)
@@ -241,7 +241,7 @@ def reduce_columns(table, width, factors, low, high, row, first, last):
 
 @inlined
 def add_group(group, table, factors, node, present):
-    """Add four eliminated arms to the node matrix; ``present`` is 1 for arms, 0 for padding."""
+    """Add four eliminated blocks to the node matrix; ``present`` is 1 for blocks, 0 for padding."""
     d, right, width = group.joints, group.joints + group.contacts, group.width
     share = packs_of(present, 0)[0]
     for k in range(NODE):
@@ -255,7 +255,7 @@ def add_group(group, table, factors, node, present):
 
 @inlined
 def substitute_group(group, table, of_object):
-    """Back substitution for four arms; writes the unknowns into the row after the table."""
+    """Back substitution for four blocks; writes the unknowns into the row after the table."""
     d, right, width = group.joints, group.joints + group.contacts, group.width
     solution = row = table + right * width
     for i in range(right - 1, -1, -1):
@@ -271,11 +271,11 @@ def substitute_group(group, table, of_object):
 
 @inlined
 def fill_joint_rows(g, group, table, work, f_j):
-    """Write ``M``, ``W`` and ``f_j`` of four arms into their table."""
+    """Write ``M``, ``W`` and ``f_j`` of four blocks into their table."""
     M, W, d, m, width = work.M, work.W, group.joints, group.contacts, group.width
-    arms, index = work.groups.arms[g], work.groups.joint_index[g]
+    blocks, index = work.groups.blocks[g], work.groups.joint_index[g]
     most, columns = W.shape[1], W.shape[2]
-    a0, a1, a2, a3 = most * arms[0], most * arms[1], most * arms[2], most * arms[3]
+    a0, a1, a2, a3 = most * blocks[0], most * blocks[1], most * blocks[2], most * blocks[3]
     row = table
     for j in range(d):
         for k in range(j, d):
@@ -292,7 +292,7 @@ def fill_joint_rows(g, group, table, work, f_j):
 
 @inlined
 def fill_contact_rows(g, group, table, groups, W_o, c):
-    """Write ``c`` and ``W_o^T`` of four arms into their table, and zeros for ``K``."""
+    """Write ``c`` and ``W_o^T`` of four blocks into their table, and zeros for ``K``."""
     d, m, width = group.joints, group.contacts, group.width
     present, index = packs_of(groups.contact_present[g], 0), groups.contact_index[g]
     zero, one, padding = broadcast(0.0), broadcast(1.0), broadcast(PADDED_MOBILITY)
@@ -312,11 +312,11 @@ def fill_contact_rows(g, group, table, groups, W_o, c):
 
 @inlined
 def scatter_unknowns(g, group, work, a_j, force):
-    """Copy the unknowns of four arms into the stacked vectors."""
+    """Copy the unknowns of four blocks into the stacked vectors."""
     groups, tables, d = work.groups, work.groups.tables, group.joints
     solution = LANES * (group.first + (d + group.contacts) * group.width)
     for lane in range(group.count):
-        i = groups.arms[g, lane]
+        i = groups.blocks[g, lane]
         at = solution + lane
         for j in range(work.first_joint[i], work.first_joint[i + 1]):
             a_j[j] = tables[at]

@@ -12,36 +12,37 @@ from __future__ import annotations
 # some thousand roundings of sums of products.
 SEMIDEFINITE_PIVOT = 1e-12
 
-# --- Elimination arm by arm (:mod:`multiarm.dynamics.solver.node`).
+# --- Elimination block by block (:mod:`multiarm.dynamics.solver.node`).
 
-# Arms with a relative pivot below this go to the coupled system
+# Blocks with a relative pivot below this go to the coupled system
 # (:mod:`multiarm.dynamics.solver.singular`). Elimination loses about as many digits as the pivot
 # has zeros: the choice leaves eleven.
 COUPLED_BELOW = 1e-5
 
-# The same for the diagonal of K relative to the arm's mobility.  Entries of W are rounded relative
-# to the levers, so that a diagonal loses half as many digits as this has zeros: eleven are left.
+# The same for the diagonal of K relative to the block's mobility.  Entries of W are rounded
+# relative to the levers, so that a diagonal loses half as many digits as this has zeros: eleven are
+# left.
 IMMOBILE_BELOW = 1e-10
 
 # Brings the second measure to the scale of the first, so that one bound serves both.
 MOBILITY_WEIGHT = COUPLED_BELOW / IMMOBILE_BELOW
 
-# Largest residual of the object's equation of motion, relative to the largest force in it.  Arms
+# Largest residual of the object's equation of motion, relative to the largest force in it.  Blocks
 # that are eliminated as a whole leave eleven digits, of which two are for cancellation.
 IMBALANCE_BOUND = 1e-9
 
-# --- The coupled system of deficient arms (:mod:`multiarm.dynamics.solver.singular`).
+# --- The coupled system of deficient blocks (:mod:`multiarm.dynamics.solver.singular`).
 
-# Directions of an arm with a sigma below this fraction of the best are not eliminated.
-SPLIT_BY_ARM = 1e-2
+# Directions of a block with a sigma below this fraction of the best are not eliminated.
+SPLIT_BY_BLOCK = 1e-2
 
-# Below this fraction the arm does not move at all.
+# Below this fraction the block does not move at all.
 IMMOVABLE = 1e-11
 
 # The same two, relative to the mobility of the object alone for the same unit force.
 SPLIT_BY_OBJECT, IMMOVABLE_BY_OBJECT = 1e-3, 1e-9
 
-# ``gamma``, a bound of ``g``: below it, the joints of an arm hardly move any of its contacts.
+# ``gamma``, a bound of ``g``: below it, the joints of a block hardly move any of its contacts.
 HARDLY_ALIGNED = 1e-3
 
 # Singular values below this fraction of their scale count as zero, with friction too, and in all
@@ -68,11 +69,11 @@ NEAR_LOSS = 0.3
 
 # --- Reaction matrices with friction (:mod:`multiarm.dynamics.solver.reactions`).
 
-# Arms (and the node matrix) with relative pivots below this are solved together with the object:
+# Blocks (and the node matrix) with relative pivots below this are solved together with the object:
 # more work, the same result.  The elimination loses the digits that this number has.
 COUPLING_TOLERANCE = 1e-6
 
-# Arms whose mobility is below this fraction of that of the object alone leave no digits of its
+# Blocks whose mobility is below this fraction of that of the object alone leave no digits of its
 # inertia in the node matrix.
 STIFFER_THAN_OBJECT = 1e-3
 
@@ -123,7 +124,7 @@ ROUNDED_RESIDUAL = 1e-13
 # [m, rad; m/s, rad/s].
 ROUNDED_STEP, MOST_ROUNDED_STEP = 2e-15, 1e-9
 
-# A direction with a sigma below this fraction of the arm's largest is lost, and regained at
+# A direction with a sigma below this fraction of the block's largest is lost, and regained at
 # REGAINED times this fraction.
 LOST, REGAINED = 1e-3, 2.0
 
@@ -167,10 +168,10 @@ OPEN_MOTION_PIVOT = 1e-13
 
 # --- Inverse dynamics (:mod:`multiarm.dynamics.inverse`).
 
-# Singular values of an arm's equations, scaled to rows of length 1, below this fraction of the
+# Singular values of a block's equations, scaled to rows of length 1, below this fraction of the
 # largest count as zero.
-ARM_RANK_TOLERANCE = 1e-10
+BLOCK_RANK_TOLERANCE = 1e-10
 
-# An arm misses the desired motion when it differs by more than this, relative to 1 and to the
+# A block misses the desired motion when it differs by more than this, relative to 1 and to the
 # largest desired acceleration: far above rounding, far below any motion that is meant.
 MISSED_MOTION = 1e-7

@@ -5,7 +5,7 @@ r"""Independent reference: the whole constrained system as one dense matrix, in 
     \begin{bmatrix} a_j \\ \lambda \end{bmatrix} = \begin{bmatrix} f_j \\ c \end{bmatrix}
 
 with the stacked constraint matrix ``W`` and reaction matrix ``W~`` (equal without friction; thesis,
-4.9).  Its cost is cubic in the number of arms; it shares no factorization with the node algorithm.
+4.9).  Its cost is cubic in the number of blocks; it shares no factors with the node algorithm.
 
 A singular matrix is solved by its singular value decomposition.  A right null vector is a
 combination of contact forces without effect on the constraints, with the motion that it causes: the
@@ -40,8 +40,8 @@ class SystemSolution(NamedTuple):
     unique: list[np.ndarray]  # (N_i,) which contact forces the equations determine
     rank: int  # of the stacked constraint matrix
     motion_unique: bool = True  # whether the accelerations are unique; may fail with friction only
-    # arms whose contact forces take part in the undetermined motion
-    undetermined_arms: tuple[int, ...] = ()
+    # blocks whose contact forces take part in the undetermined motion
+    undetermined_blocks: tuple[int, ...] = ()
 
 
 def solve_dense(
@@ -63,7 +63,7 @@ def solve_dense(
     M_o, f_o : (6, 6), (6,)
         Object's inertia and right-hand side.
     M, f_j : lists of (n_i, n_i), (n_i,)
-        Arms' inertias and right-hand sides.
+        Blocks' inertias and right-hand sides.
     W_o, W, c : lists of (6, N_i), (n_i, N_i), (N_i,)
         Constraints ``W_o^T a_o + W_i^T a_i = c_i``.
     reaction_o, reaction : lists like W_o, W, optional
@@ -108,7 +108,7 @@ def solve_dense(
         unique=np.split(unique, bounds),
         rank=rank,
         motion_unique=not moving.size,
-        undetermined_arms=tuple(
+        undetermined_blocks=tuple(
             i
             for i, parts in enumerate(np.split(moving, bounds))
             if np.any(np.linalg.norm(parts, axis=1) > PART_TOLERANCE)

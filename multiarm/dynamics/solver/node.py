@@ -1,13 +1,15 @@
-r"""The node algorithm: the object's acceleration first, then each arm on its own.
+r"""The node algorithm: the object's acceleration first, then each block on its own.
 
-The system (thesis, 4.9; :math:`\lambda = -\mu` is the physical contact force, positive = pushing)
+In the thesis a block is an arm; here it is a part of a robot that shares neither inertia nor rows
+with others (:mod:`multiarm.dynamics.layout`).  The system (thesis, 4.9; :math:`\lambda = -\mu` is
+the physical contact force, positive = pushing)
 
 .. math::
     M_o a_o = f_o + \sum_i W_{oi} \lambda_i, \qquad
     M_i a_i = f_i + W_i \lambda_i, \qquad
     W_{oi}^T a_o + W_i^T a_i = c_i
 
-is solved without ever assembling it.  With every arm's Cholesky factor :math:`M_i = L_i L_i^T`,
+is solved without ever assembling it.  With every block's Cholesky factor :math:`M_i = L_i L_i^T`,
 
 .. math::
     Y_i = L_i^{-1} W_i, \quad K_i = Y_i^T Y_i = G_i G_i^T, \quad Z_i = G_i^{-1} W_{oi}^T, \quad
@@ -21,18 +23,18 @@ is the *elimination*, which depends on the configuration only, and
     \lambda_i = G_i^{-T}(z_i - Z_i a_o), \quad a_i = L_i^{-T}(y_i + Y_i \lambda_i)
 
 the *solution* for one right-hand side: accelerations, velocity projections and position corrections
-alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of arms; ``S`` stays 6 by 6.
+alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of blocks; ``S`` stays 6 by 6.
 
-It exists when every ``K_i`` is regular: each arm can move along all of its constraint directions.
+It exists when every ``K_i`` is regular: each block can move along all of its constraint directions.
 Two numbers measure the distance from a singular ``K_i``: its smallest pivot relative to its
-diagonal (the pivot after Jacobi scaling), and that diagonal relative to the *mobility* of the arm,
-:math:`\max_j r_j^2 / p_j` with the lever :math:`r_j` of each joint and the pivots :math:`p_j` of
-the inertia.  The second is needed because ``K_i`` of an arm that cannot move along its contact at
-all consists of rounding errors, which are large relative to each other.  Arms for which either is
-small are solved by :mod:`multiarm.dynamics.solver.singular`.
+diagonal (the pivot after Jacobi scaling), and that diagonal relative to the *mobility* of the
+block, :math:`\max_j r_j^2 / p_j` with the lever :math:`r_j` of each joint and the pivots
+:math:`p_j` of the inertia.  The second is needed because ``K_i`` of a block that cannot move along
+its contact at all consists of rounding errors, which are large relative to each other.  Blocks for
+which either is small are solved by :mod:`multiarm.dynamics.solver.singular`.
 
-This module has the arrays and the elimination of one arm;
-:mod:`multiarm.dynamics.solver.batched` eliminates four regular arms at a time.
+This module has the arrays and the elimination of one block;
+:mod:`multiarm.dynamics.solver.batched` eliminates four regular blocks at a time.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
-from multiarm.dynamics.status import ARM_INERTIA, ARM_NOT_FINITE, OK
+from multiarm.dynamics.status import BLOCK_INERTIA, BLOCK_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.rows import Number, row_of, width
 from multiarm.jit.simd import LANES, aligned_zeros
@@ -56,34 +58,34 @@ NODE = 6
 """Unknowns of the node: the object's acceleration."""
 
 
-class ArmGroup(NamedTuple):
-    """Numbers of a group of four arms: a row of ``ArmGroups.group``."""
+class BlockGroup(NamedTuple):
+    """Numbers of a group of four blocks: a row of ``BlockGroups.group``."""
 
-    joints: Number  # of the arm with the most
-    contacts: Number  # of the arm with the most
-    count: Number  # arms; a group of fewer than four repeats its first one
-    first: Number  # pack of its table in ``ArmGroups.tables``
+    joints: Number  # of the block with the most
+    contacts: Number  # of the block with the most
+    count: Number  # blocks; a group of fewer than four repeats its first one
+    first: Number  # pack of its table in ``BlockGroups.tables``
     width: Number  # packs of a row of its table: joints, contacts, right-hand side, node
 
 
-open_group = row_of(ArmGroup)
+open_group = row_of(BlockGroup)
 
 
-class ArmGroups(NamedTuple):
-    """``g`` groups of four arms (:mod:`multiarm.dynamics.solver.batched`), and their packs.
+class BlockGroups(NamedTuple):
+    """``g`` groups of four blocks (:mod:`multiarm.dynamics.solver.batched`), and their packs.
 
-    There is none when an arm has more contacts than joints, so that it is deficient in any posture.
+    There is none when a block has more contacts than joints: it is deficient in any posture.
     """
 
-    group: Ints2  # (g, 5) of :class:`ArmGroup`
-    arms: Ints2  # (g, 4)
-    # (g, 4 d), (g, 4 m): index of every joint and contact of the four arms in the stacked vectors;
-    # padding has that of another one
+    group: Ints2  # (g, 5) of :class:`BlockGroup`
+    blocks: Ints2  # (g, 4)
+    # (g, 4 d), (g, 4 m): index of every joint and contact of the four blocks in the stacked
+    # vectors; padding has that of another one
     joint_index: Ints2
     contact_index: Ints2
-    # (g, 4 m), (g, 4): 1 for contacts and arms, 0 for padding
+    # (g, 4 m), (g, 4): 1 for contacts and blocks, 0 for padding
     contact_present: Floats2
-    arm_present: Floats2
+    block_present: Floats2
     stiffness: Floats2  # (g, 4 d) 1 / lever^2 of every joint; infinite for padding
     # packs: lower triangle of the node matrix, each row after its right-hand side, summed over the
     # groups; the object's unknowns; the factors of one row, as many as joints and contacts; the
@@ -98,42 +100,42 @@ class ArmGroups(NamedTuple):
 class NodeStatus(Numbers):
     """How the last system was eliminated."""
 
-    arm_by_arm: Flag  # else four arms at a time: its factors are in ``ArmGroups.tables``
+    block_by_block: Flag  # else four blocks at a time: its factors are in ``BlockGroups.tables``
 
 
 class NodeWork(NamedTuple):
-    """Arrays of the elimination; ``n`` arms with at most ``d`` joints and ``m`` contacts each."""
+    """Arrays of the elimination; ``n`` blocks with at most ``d`` joints and ``m`` contacts each."""
 
-    # (n + 1,): first joint and first contact of each arm in the stacked vectors
+    # (n + 1,): first joint and first contact of each block in the stacked vectors
     first_joint: Ints1
     first_contact: Ints1
-    # (n, d, d), (n, d, m): inertias (lower triangles; 1 on the diagonal beyond an arm's joints) and
-    # constraint matrices, which the kinematics write and no solver changes
+    # (n, d, d), (n, d, m): inertias (lower triangles; 1 on the diagonal beyond a block's joints)
+    # and constraint matrices, which the kinematics write and no solver changes
     M: Floats3
     W: Floats3
-    # (n, d): largest distance by which a unit turn of each joint can move a contact of its arm [m];
-    # 1 for prismatic joints
+    # (n, d): largest distance by which a unit turn of each joint can move a contact of its block
+    # [m]; 1 for prismatic joints
     levers: Floats2
     # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
     pivot: Floats1
     status: NodeStatus
-    # of an elimination arm by arm (n, d, d), (n, d, m), (n, m, m), (n, m, 6); lower triangles,
+    # of an elimination block by block (n, d, d), (n, d, m), (n, m, m), (n, m, 6); lower triangles,
     # diagonals inverted
     L: Floats3
     Y: Floats3
     G: Floats3
     Z: Floats3
     S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
-    # (all joints,), (all contacts,): intermediate vectors of a solution arm by arm
+    # (all joints,), (all contacts,): intermediate vectors of a solution block by block
     y: Floats1
     z: Floats1
-    groups: ArmGroups
+    groups: BlockGroups
 
 
 def make_work(
     joints: list[int], contacts: list[int], levers: Sequence[np.ndarray] | None = None
 ) -> NodeWork:
-    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
+    """Allocate for blocks with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
     n, d = len(joints), max(joints)
     every_lever = np.ones((n, d))
     if levers is not None:
@@ -169,23 +171,23 @@ def work_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, 
 
 
 def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of :class:`ArmGroups` that depend on the contacts."""
+    """Shapes of the arrays of :class:`BlockGroups` that depend on the contacts."""
     d, m = max(joints), max(contacts)
     g = -(-len(joints) // LANES) if all(map(operator.ge, joints, contacts)) else 0
     return {
-        "group": (g, width(ArmGroup)), "arms": (g, LANES), "joint_index": (g, LANES * d),
+        "group": (g, width(BlockGroup)), "blocks": (g, LANES), "joint_index": (g, LANES * d),
         "contact_index": (g, LANES * m), "contact_present": (g, LANES * m),
-        "arm_present": (g, LANES), "stiffness": (g, LANES * d),
+        "block_present": (g, LANES), "stiffness": (g, LANES * d),
     }  # fmt: skip
 
 
-def _make_groups(joints: list[int], contacts: list[int]) -> ArmGroups:
+def _make_groups(joints: list[int], contacts: list[int]) -> BlockGroups:
     """Allocate the groups, but for their tables."""
     whole, shapes = (
-        {"group", "arms", "joint_index", "contact_index"},
+        {"group", "blocks", "joint_index", "contact_index"},
         group_shapes(joints, contacts),
     )
-    return ArmGroups(
+    return BlockGroups(
         node=aligned_zeros(LANES * NODE * (NODE + 1)),
         object=aligned_zeros(LANES * NODE),
         factors=aligned_zeros(LANES * (max(joints) + max(contacts))),
@@ -196,26 +198,26 @@ def _make_groups(joints: list[int], contacts: list[int]) -> ArmGroups:
 
 
 def group_order(joints: list[int], contacts: list[int]) -> np.ndarray:
-    """The arms in the order in which they are put into groups: similar ones stand together."""
+    """The blocks in the order in which they are put into groups: similar ones stand together."""
     order = sorted(range(len(joints)), key=lambda i: (-joints[i], -contacts[i]))
     return np.array(order, dtype=np.int64)
 
 
 @plain
 def write_groups(order, work):
-    """Write the groups for arms in an order; returns the number of packs of all tables."""
+    """Write the groups for blocks in an order; returns the number of packs of all tables."""
     groups, packs = work.groups, 0
     for g in range(groups.group.shape[0]):
         group = open_group(groups.group[g])
         group.joints = group.contacts = 0
         group.count = min(LANES, order.size - LANES * g)
         for lane in range(LANES):
-            arm = order[LANES * g + (lane if lane < group.count else 0)]
-            groups.arms[g, lane] = arm
-            groups.arm_present[g, lane] = 1.0 if lane < group.count else 0.0
-            write_lane(g, lane, arm, work)
-            group.joints = max(group.joints, joint_count(arm, work))
-            group.contacts = max(group.contacts, contact_count(arm, work))
+            block = order[LANES * g + (lane if lane < group.count else 0)]
+            groups.blocks[g, lane] = block
+            groups.block_present[g, lane] = 1.0 if lane < group.count else 0.0
+            write_lane(g, lane, block, work)
+            group.joints = max(group.joints, joint_count(block, work))
+            group.contacts = max(group.contacts, contact_count(block, work))
         unknowns = group.joints + group.contacts
         group.first, group.width = packs, unknowns + 1 + NODE
         packs += group.width * (unknowns + 1)  # the last row is for the unknowns
@@ -223,16 +225,16 @@ def write_groups(order, work):
 
 
 @plain
-def write_lane(g, lane, arm, work):
-    """Write what a group has of the joints and contacts of one of its arms."""
-    groups, d, m = work.groups, joint_count(arm, work), contact_count(arm, work)
+def write_lane(g, lane, block, work):
+    """Write what a group has of the joints and contacts of one of its blocks."""
+    groups, d, m = work.groups, joint_count(block, work), contact_count(block, work)
     for j in range(groups.joint_index.shape[1] // LANES):
-        lever, at = work.levers[arm, j], LANES * j + lane
-        groups.joint_index[g, at] = index_or_another(work.first_joint[arm], d, j)
+        lever, at = work.levers[block, j], LANES * j + lane
+        groups.joint_index[g, at] = index_or_another(work.first_joint[block], d, j)
         groups.stiffness[g, at] = 1.0 / (lever * lever) if j < d else math.inf
     for k in range(groups.contact_index.shape[1] // LANES):
         at = LANES * k + lane
-        groups.contact_index[g, at] = index_or_another(work.first_contact[arm], m, k)
+        groups.contact_index[g, at] = index_or_another(work.first_contact[block], m, k)
         groups.contact_present[g, at] = 1.0 if k < m else 0.0
 
 
@@ -246,18 +248,18 @@ def index_or_another(first, count, k):
 
 @plain
 def joint_count(i, work):
-    """Number of joints of an arm."""
+    """Number of joints of a block."""
     return work.first_joint[i + 1] - work.first_joint[i]
 
 
 @plain
 def contact_count(i, work):
-    """Number of contacts of an arm."""
+    """Number of contacts of a block."""
     return work.first_contact[i + 1] - work.first_contact[i]
 
 
 def first_indices(counts: list[int]) -> np.ndarray:
-    """Index of the first of each arm in a vector of all, and last the number of all, (n + 1,)."""
+    """Index of the first of each block in a vector of all, and last the number of all, (n + 1,)."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
@@ -302,7 +304,7 @@ def add_square(z, S):
             S[k, l] += z[k] * z[l]
 
 
-# --- elimination and solution, arm by arm ---------------------------------------------------------
+# --- elimination and solution, block by block -----------------------------------------------------
 
 
 @kernel
@@ -317,19 +319,19 @@ def mobility(L, n, levers):
 
 @kernel
 def failure_of_inertia(M, n):
-    """The status of an arm whose inertia has no Cholesky factor."""
+    """The status of a block whose inertia has no Cholesky factor."""
     for j in range(n):
         for k in range(j + 1):
             if not math.isfinite(M[j, k]):
-                return ARM_NOT_FINITE
-    return ARM_INERTIA
+                return BLOCK_NOT_FINITE
+    return BLOCK_INERTIA
 
 
 @inlined
-def eliminate_arm(i, work, W_o):
-    """Factor arm ``i``, and write its ``NodeWork.pivot``; returns a status.
+def eliminate_block(i, work, W_o):
+    """Factor block ``i``, and write its ``NodeWork.pivot``; returns a status.
 
-    ``work.M[i]`` is the arm's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
+    ``work.M[i]`` is the block's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
     contact) and ``W_o`` (N, 6) the object's rows.
     """
     n, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
@@ -362,7 +364,7 @@ def eliminate_arm(i, work, W_o):
 
 @inlined
 def reduce_object_rows(G, W_o, first, m, Z):
-    """Write ``Z = G^-1 W_o^T`` of an arm with ``m`` contacts, of which ``first`` is the first."""
+    """Write ``Z = G^-1 W_o^T`` of a block with ``m`` contacts, of which ``first`` is the first."""
     for a in range(m):
         set_vector(W_o[first + a], Z[a])
         for b in range(a):
@@ -372,21 +374,22 @@ def reduce_object_rows(G, W_o, first, m, Z):
 
 @inlined
 def add_to_node(i, work):
-    """Add ``Z^T Z`` of an eliminated arm to the node matrix."""
+    """Add ``Z^T Z`` of an eliminated block to the node matrix."""
     for a in range(contact_count(i, work)):
         add_square(work.Z[i, a], work.S)
 
 
 @kernel
-def eliminate_arms(work, W_o):
-    """Factor all arms, one after the other, from what :func:`eliminate_arm` describes.
+def eliminate_blocks(work, W_o):
+    """Factor all blocks, one after the other, from what :func:`eliminate_block` describes.
 
-    Returns a status, and the arm whose inertia failed where it is not ``OK``.  The pivots are left
-    in ``work.pivot``: arms for which it is not above ``COUPLED_BELOW`` have ``L`` and ``Y`` only.
+    Returns a status, and the block whose inertia failed where it is not ``OK``.  The pivots are
+    left in ``work.pivot``: blocks for which it is not above ``COUPLED_BELOW`` have only ``L`` and
+    ``Y``.
     """
-    work.status.arm_by_arm = True
+    work.status.block_by_block = True
     for i in range(work.first_joint.size - 1):
-        status = eliminate_arm(i, work, W_o)
+        status = eliminate_block(i, work, W_o)
         if status != OK:
             return status, i
     return OK, 0
@@ -394,7 +397,7 @@ def eliminate_arms(work, W_o):
 
 @inlined
 def unconstrained_motion(i, work, f_j):
-    """``y = L^-1 f_j`` of an arm."""
+    """``y = L^-1 f_j`` of a block."""
     d0, d = work.first_joint[i], joint_count(i, work)
     L, y = work.L[i], work.y
     for j in range(d):
@@ -406,7 +409,7 @@ def unconstrained_motion(i, work, f_j):
 
 @inlined
 def reduce_constraints(i, work, c, a_o):
-    """``z`` of an arm; adds ``Z^T z`` to the object's right-hand side ``a_o``."""
+    """``z`` of a block; adds ``Z^T z`` to the object's right-hand side ``a_o``."""
     d0, d = work.first_joint[i], joint_count(i, work)
     r0, m = work.first_contact[i], contact_count(i, work)
     Y, G, Z, y, z = work.Y[i], work.G[i], work.Z[i], work.y, work.z
@@ -427,7 +430,7 @@ def reduce_constraints(i, work, c, a_o):
 
 @inlined
 def recover_forces(i, work, a_o, force):
-    """Contact forces of an arm for the object's ``a_o``."""
+    """Contact forces of a block for the object's ``a_o``."""
     r0, m = work.first_contact[i], contact_count(i, work)
     G, Z, z = work.G[i], work.Z[i], work.z
     for a in range(m):
@@ -441,7 +444,7 @@ def recover_forces(i, work, a_o, force):
 
 @inlined
 def recover_joints(i, work, Y, force, a_j):
-    """Joint accelerations of an arm for its contact forces; ``Y`` is ``L^-1 W``, or of ``W~``."""
+    """Joint accelerations of a block for its contact forces; ``Y`` is ``L^-1 W``, or of ``W~``."""
     d0, d = work.first_joint[i], joint_count(i, work)
     r0, m = work.first_contact[i], contact_count(i, work)
     L, y = work.L[i], work.y

@@ -1,6 +1,6 @@
-r"""Arms that are solved together with the object, when contact forces have other directions.
+r"""Blocks that are solved together with the object, when contact forces have other directions.
 
-With the other arms eliminated, the contact forces of these arms obey (thesis, 4.2, the system
+With the other blocks eliminated, the contact forces of these blocks obey (thesis, 4.2, the system
 ``F mu = d``; :math:`\lambda = -\mu`, tildes throughout)
 
 .. math::
@@ -175,7 +175,7 @@ def find_null_forces(work, W_o, Wr_o):
         object_wrench(work, Wr_o, vector, x)
         solve_object(work, x)
         set_vector(x, vector[total:])
-        extend_to_regular_arms(work, W_o, x, vector, False)
+        extend_to_regular_blocks(work, W_o, x, vector, False)
         normalize_forces(vector, total)
         for i in range(work.undetermined.size):
             for a in range(work.first_contact[i], work.first_contact[i + 1]):
@@ -215,7 +215,7 @@ def find_null_constraints(work, W_o, Wr_o):
             forward(work.Ls, NODE, x)
             solve_lu_transposed(work.node, NODE, work.node_pivots, x)
             backward(work.Ls, NODE, x)
-            extend_to_regular_arms(work, Wr_o, x, vector, True)
+            extend_to_regular_blocks(work, Wr_o, x, vector, True)
             status.null_constraints += 1
     orthonormalize(vectors, status.null_constraints, total)
     return True
@@ -223,17 +223,17 @@ def find_null_constraints(work, W_o, Wr_o):
 
 @kernel
 def solve_object(work, x):
-    """Solve with the node matrix ``S`` of the arms that are not coupled, in place."""
+    """Solve with the node matrix ``S`` of the blocks that are not coupled, in place."""
     forward(work.Ls, NODE, x)
     solve_lu(work.node, NODE, work.node_pivots, x)
     backward(work.Ls, NODE, x)
 
 
 @kernel
-def solve_arm(i, work, x, transposed):
-    """Solve with ``K_i`` of an arm that is not coupled (or with its transpose), in place."""
+def solve_block(i, work, x, transposed):
+    """Solve with ``K_i`` of a block that is not coupled (or with its transpose), in place."""
     first, end, pivots = work.first_contact[i], work.first_contact[i + 1], work.K_pivots[i]
-    m, scale, scale_r = end - first, work.arm_scale[first:end], work.arm_scale_r[first:end]
+    m, scale, scale_r = end - first, work.block_scale[first:end], work.block_scale_r[first:end]
     if transposed:
         for a in range(m):
             x[a] *= scale_r[a]
@@ -250,7 +250,7 @@ def solve_arm(i, work, x, transposed):
 
 @inlined
 def object_wrench(work, W_o, force, x):
-    """Wrench of the coupled arms' entries of ``force`` on the object, into ``x``."""
+    """Wrench of the coupled blocks' entries of ``force`` on the object, into ``x``."""
     clear(x)
     for k in range(work.status.contacts):
         row = work.place[k]
@@ -258,15 +258,15 @@ def object_wrench(work, W_o, force, x):
 
 
 @inlined
-def extend_to_regular_arms(work, W_o, x, vector, transposed):
-    """Forces with which the other arms keep their constraints when the object moves by ``x``."""
+def extend_to_regular_blocks(work, W_o, x, vector, transposed):
+    """Forces with which the other blocks keep their constraints when the object moves by ``x``."""
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
             first, end = work.first_contact[i], work.first_contact[i + 1]
             part = vector[first:end]
             for a in range(end - first):
                 part[a] = less_product(0.0, W_o[first + a], x)
-            solve_arm(i, work, part, transposed)
+            solve_block(i, work, part, transposed)
 
 
 @inlined

@@ -18,9 +18,9 @@ symmetric, and LU factors with pivoting instead of Cholesky's:
     a_o = S^{-1} \big(f_o + \sum_i \tilde W_{oi} K_i^{-1} z_i\big), \qquad
     \lambda_i = K_i^{-1} (z_i - W_{oi}^T a_o)
 
-with :math:`z_i = c_i - Y_i^T L_i^{-1} f_i`.  Arms whose ``K_i`` is singular, or nearly so, are
+with :math:`z_i = c_i - Y_i^T L_i^{-1} f_i`.  Blocks whose ``K_i`` is singular, or nearly so, are
 solved together with the object (:mod:`multiarm.dynamics.solver.reaction_coupling`); if ``S`` is,
-all arms are.  The cost grows linearly with the number of the other arms.
+all blocks are.  The cost grows linearly with the number of the other blocks.
 
 With friction a solution need not exist, nor be unique (Painleve): ``ReactionWork.null_constraint``
 and ``ReactionStatus.motions`` say so.
@@ -63,10 +63,10 @@ from multiarm.dynamics.solver.node import (
 )
 from multiarm.dynamics.solver.reaction_coupling import (
     decompose_coupled,
-    solve_arm,
+    solve_block,
     solve_object,
 )
-from multiarm.dynamics.status import ARM_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
+from multiarm.dynamics.status import BLOCK_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
 
@@ -74,19 +74,19 @@ from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, I
 class ReactionStatus(Numbers):
     """How the coupled system was decomposed."""
 
-    contacts: Int  # of the coupled arms
-    length: Int  # entries of a column of G: of the node, and of the joints of the coupled arms
+    contacts: Int  # of the coupled blocks
+    length: Int  # entries of a column of G: of the node, and of the joints of the coupled blocks
     rank: Int  # of G
     reaction_rank: Int  # of G~
     core_rank: Int
     null_forces: Int  # number of vectors in ``null_force``
     null_constraints: Int  # number of vectors in ``null_constraint``
     motions: Int  # number of null forces that move the system: if any, the motion is not unique
-    evenness: Float  # how evenly the arms stiffen the object, 1 at best
+    evenness: Float  # how evenly the blocks stiffen the object, 1 at best
 
 
 class ReactionWork(NamedTuple):
-    """Arrays of the elimination: ``n`` arms, at most ``d`` joints and ``m`` contacts an arm.
+    """Arrays of the elimination: ``n`` blocks, at most ``d`` joints and ``m`` contacts a block.
 
     Together they have D joints and N contacts.
     """
@@ -107,15 +107,15 @@ class ReactionWork(NamedTuple):
     # (n, m, m), (n, m), (N,): LU factors of K scaled by rows and columns; the scales
     K: Floats3
     K_pivots: Ints2
-    arm_scale: Floats1
-    arm_scale_r: Floats1
+    block_scale: Floats1
+    block_scale_r: Floats1
     # (6, 6): factors of the object's inertia and of the node matrix without friction
     Lo: Floats2
     Ls: Floats2
     # (6, 6), (6,): LU factors of Ls^-1 S Ls^-T
     node: Floats2
     node_pivots: Ints1
-    coupled: Ints1  # (n,) which arms are coupled
+    coupled: Ints1  # (n,) which blocks are coupled
     undetermined: Ints1  # (n,) whose forces take part in an undetermined motion
     # (n + 1,): distance of each K from a singular matrix, with and without friction; last of the
     # node's
@@ -151,15 +151,15 @@ class ReactionWork(NamedTuple):
     left: Floats1
     right: Floats1
     unloaded: Floats1  # (6,) the object's acceleration without contacts
-    without_friction: Floats2  # (m, m) factor of ``Y^T Y`` of an arm
+    without_friction: Floats2  # (m, m) factor of ``Y^T Y`` of a block
     # scratch (6,), (m,), (m, 6)
     node_vector: Floats1
-    arm_vector: Floats1
-    arm_rows: Floats2
+    block_vector: Floats1
+    block_rows: Floats2
 
 
 def make_reaction_work(joints: list[int], contacts: list[int]) -> ReactionWork:
-    """Allocate for arms with ``joints[i]`` joints, ``contacts[i]`` contacts, levers of 1 m."""
+    """Allocate for blocks with ``joints[i]`` joints, ``contacts[i]`` contacts, levers of 1 m."""
     n, d, D = len(joints), max(joints), sum(joints)
     shapes = {
         "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (NODE, NODE), "Ls": (NODE, NODE),
@@ -185,22 +185,22 @@ def reaction_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[i
     return {
         "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
         "K_pivots": (n, m),
-        "arm_scale": (N,), "arm_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
+        "block_scale": (N,), "block_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
         "U": (N, NODE + D), "Ur": (N, NODE + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
         "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
         "core_left_V": (N, N), "core_sigma": (N,), "core_left_sigma": (N,),
         "null_force": (N, N + NODE), "null_constraint": (N, N + NODE), "z": (N,), "left": (N,),
-        "right": (N,), "without_friction": (m, m), "arm_vector": (m,), "arm_rows": (m, NODE),
+        "right": (N,), "without_friction": (m, m), "block_vector": (m,), "block_rows": (m, NODE),
     }  # fmt: skip
 
 
 @kernel
 def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
-    """Factor the whole system; returns a status, and the arm of ``ARM_INERTIA, ARM_NOT_FINITE``.
+    """Factor the whole system; returns a status, and the block that ``BLOCK_...`` speak of.
 
-    With ``couple_all`` every arm is solved together with the object, whatever its pivots are.
+    With ``couple_all`` every block is solved together with the object, whatever its pivots are.
 
-    ``work.M[i]`` are the arms' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
+    ``work.M[i]`` are the blocks' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
     ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6) the object's rows.
     """
     n = work.coupled.size
@@ -208,14 +208,14 @@ def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
     if not factor_cholesky(work.Lo, NODE) > 0.0:
         return OBJECT_INERTIA, 0
     for i in range(n):
-        status = factor_arm(i, work)
+        status = factor_block(i, work)
         if status != OK:
             return status, i
         work.coupled[i] = 0 if work.pivot[i] > COUPLING_TOLERANCE and not couple_all else 1
     work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
     if not work.status.evenness > COUPLING_TOLERANCE:
         for i in range(n):
-            # arms that are stiffer than the object alone leave no digits of its inertia
+            # blocks that are stiffer than the object alone leave no digits of its inertia
             if relative_mobility(i, work, W_o) < STIFFER_THAN_OBJECT:
                 work.coupled[i] = 1
         work.pivot[n] = factor_node(work, W_o, Wr_o, object_inertia)
@@ -227,8 +227,8 @@ def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
 
 
 @kernel
-def factor_arm(i, work):
-    """Factor an arm's inertia and ``K``, and write its ``ReactionWork.pivot``; returns a status."""
+def factor_block(i, work):
+    """Factor a block's inertia and ``K``, write its ``ReactionWork.pivot``; returns a status."""
     n, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
     L, Y, Yr, K = work.L[i], work.Y[i], work.Yr[i], work.K[i]
     copy_block(work.M[i], n, n, L)
@@ -248,15 +248,15 @@ def factor_arm(i, work):
             norm_r += Yr[j, a] * Yr[j, a]
         if not math.isfinite(norm + norm_r):
             work.pivot[i] = math.nan
-            return ARM_NOT_FINITE
+            return BLOCK_NOT_FINITE
         mobile = min(mobile, norm / least, norm_r / least)
-        work.arm_scale[first + a] = 1.0 / math.sqrt(norm) if norm > 0.0 else 1.0
-        work.arm_scale_r[first + a] = 1.0 / math.sqrt(norm_r) if norm_r > 0.0 else 1.0
+        work.block_scale[first + a] = 1.0 / math.sqrt(norm) if norm > 0.0 else 1.0
+        work.block_scale_r[first + a] = 1.0 / math.sqrt(norm_r) if norm_r > 0.0 else 1.0
     without_friction = factor_cholesky(K, m)
     gram(Y, Yr, n, m, K)
     for a in range(m):
         for b in range(m):
-            K[a, b] *= work.arm_scale[first + a] * work.arm_scale_r[first + b]
+            K[a, b] *= work.block_scale[first + a] * work.block_scale_r[first + b]
     regular = factor_lu(K, m, work.K_pivots[i])
     work.pivot[i] = max(0.0, min(mobile, without_friction, regular))
     return OK
@@ -264,7 +264,7 @@ def factor_arm(i, work):
 
 @kernel
 def relative_mobility(i, work, W_o):
-    """Smallest mobility of an arm along its contacts, relative to that of the object alone."""
+    """Smallest mobility of a block along its contacts, relative to that of the object alone."""
     smallest, x = 1.0, work.node_vector
     for row in range(work.first_contact[i], work.first_contact[i + 1]):
         square = 0.0
@@ -272,7 +272,7 @@ def relative_mobility(i, work, W_o):
         forward(work.Lo, NODE, x)
         for k in range(NODE):
             square += x[k] * x[k]
-        square *= work.arm_scale[row] * work.arm_scale[row]  # one over that of the arm
+        square *= work.block_scale[row] * work.block_scale[row]  # one over that of the block
         if square > 1.0:
             smallest = min(smallest, 1.0 / square)
     return smallest
@@ -291,8 +291,8 @@ def gram(A, B, n, m, K):
 
 @kernel
 def factor_node(work, W_o, Wr_o, object_inertia):
-    """Node matrix of the arms that are not coupled, in inertia coordinates; its relative pivot."""
-    S, C = work.node, work.arm_rows
+    """Node matrix of blocks that are not coupled, in inertia coordinates; its relative pivot."""
+    S, C = work.node, work.block_rows
     copy_block(object_inertia, NODE, NODE, S)
     copy_lower(object_inertia, NODE, work.Ls)
     for i in range(work.coupled.size):
@@ -315,7 +315,7 @@ def factor_node(work, W_o, Wr_o, object_inertia):
 def evenness(work):
     """Smallest pivot of the node matrix without friction, in units of the object's inertia.
 
-    Relative to its largest entry: 1 without any arm.
+    Relative to its largest entry: 1 without any block.
     """
     T, largest, smallest = work.whitened, 0.0, math.inf
     for k in range(NODE):
@@ -344,20 +344,20 @@ def whiten(S, L):
 
 @inlined
 def solve_object_rows(i, work, W_o, C):
-    """Write ``K^-1 W_o^T`` of one arm, (m, 6)."""
-    first, m, u = work.first_contact[i], contact_count(i, work), work.arm_vector
+    """Write ``K^-1 W_o^T`` of one block, (m, 6)."""
+    first, m, u = work.first_contact[i], contact_count(i, work), work.block_vector
     for k in range(NODE):
         for a in range(m):
             u[a] = W_o[first + a, k]
-        solve_arm(i, work, u, False)
+        solve_block(i, work, u, False)
         for a in range(m):
             C[a, k] = u[a]
 
 
 @inlined
 def add_without_friction(i, work, W_o):
-    """Add ``W_o (Y^T Y)^-1 W_o^T`` of one arm to ``Ls``."""
-    m, G, Z = contact_count(i, work), work.without_friction, work.arm_rows
+    """Add ``W_o (Y^T Y)^-1 W_o^T`` of one block to ``Ls``."""
+    m, G, Z = contact_count(i, work), work.without_friction, work.block_rows
     gram(work.Y[i], work.Y[i], joint_count(i, work), m, G)
     factor_cholesky(G, m)
     reduce_object_rows(G, W_o, work.first_contact[i], m, Z)
@@ -374,7 +374,7 @@ def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
     W_o, Wr_o : (N, 6)
         The object's rows, as in :func:`eliminate_with_reactions`.
     f_o : (6,), f_j : (D,), c : (N,)
-        Right-hand sides, arms stacked.
+        Right-hand sides, blocks stacked.
     a_o : (6,), a_j : (D,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
@@ -386,7 +386,7 @@ def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
             part = force[first:end]
             for a in range(end - first):
                 part[a] = less_product(work.z[first + a], W_o[first + a], a_o)
-            solve_arm(i, work, part, False)
+            solve_block(i, work, part, False)
     total = force.size
     for v in range(work.status.null_forces):  # projection: forces of least norm
         vector, along = work.null_force[v], 0.0
@@ -427,7 +427,7 @@ def unconstrained_motions(work, W_o, f_o, f_j, c):
 
 @inlined
 def accelerate_object(work, W_o, Wr_o, f_o, a_o, force):
-    """The object's acceleration ``a_o`` and the forces of the coupled arms."""
+    """The object's acceleration ``a_o`` and the forces of the coupled blocks."""
     copy(f_o, a_o)
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:  # with the forces that hold it still
@@ -435,7 +435,7 @@ def accelerate_object(work, W_o, Wr_o, f_o, a_o, force):
             part = force[first:end]
             for a in range(end - first):
                 part[a] = work.z[first + a]
-            solve_arm(i, work, part, False)
+            solve_block(i, work, part, False)
             for a in range(end - first):
                 add_multiple(part[a], Wr_o[first + a], a_o)
     if work.status.contacts > 0:

@@ -1,4 +1,4 @@
-r"""The node algorithm for arms that cannot move along all of their constraint directions.
+r"""The node algorithm for blocks that cannot move along all of their constraint directions.
 
 An arm with a stretched elbow, with too few joints, or with redundant contacts has a singular
 :math:`K_i = W_i^T M_i^{-1} W_i` (thesis, 4.2; S. McMillan, Ohio State University, 1994).  It is not
@@ -7,17 +7,17 @@ coupled to the object as a whole.  The singular value decomposition of its
 .. math:: Y_i = L_i^{-1} W_i, \qquad Y_i v_a = \sigma_a u_a
 
 turns its constraints into orthogonal *directions* ``v``.  Those with a large ``sigma`` are
-eliminated like any regular arm, with :math:`K = \sigma^2`.  Large is relative to
+eliminated like any regular block, with :math:`K = \sigma^2`.  Large is relative to
 
 .. math:: \sigma_{best} = \max_a \sigma_a \; \max\big(1, (\gamma / g)^2\big), \qquad
     g = \max_{a, j} |W_{ja}| / r_j ,
 
 with the levers :math:`r_j` of the joints, so that ``g`` is 1 where a joint moves a contact as much
-as it can.  The second factor is for arms whose joints all move along their contacts: every
+as it can.  The second factor is for blocks whose joints all move along their contacts: every
 ``sigma`` is a rounding error then, and these are large relative to each other.
 
-The other directions, along which the arm can hardly move or not at all, remain as unknown forces of
-one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
+The other directions, along which the block can hardly move or not at all, remain as unknown forces
+of one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
 :math:`S = L_S L_S^T` of all eliminated directions,
 
 .. math::
@@ -25,12 +25,12 @@ one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
     B = \begin{bmatrix} L_S^{-1} C \\ \mathrm{diag}(\sigma) \end{bmatrix}.
 
 Directions with :math:`\sigma = 0` bind the object alone: they add a column to ``B`` and no row, so
-that the cost stays linear in the number of arms.  Nothing is regularised: a small ``sigma`` enters
-as it is, and the result is continuous with that of the regular path.
+that the cost stays linear in the number of blocks.  Nothing is regularised: a small ``sigma``
+enters as it is, and the result is continuous with that of the regular path.
 
-*Rank.*  Some combinations of these forces may move neither the object nor an arm (dependent
+*Rank.*  Some combinations of these forces may move neither the object nor a block (dependent
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
-with the object measured in unit directions and lever arms, and each arm by its own ``sigma_best``:
+with the object measured in unit directions and lever arms, each block by its own ``sigma_best``:
 combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force (or more, at a
 state with gaps: constraints may depend on each other only where they are closed).  Since the
 directions are orthonormal combinations of the contacts, the contact forces have the least norm in
@@ -53,7 +53,7 @@ from multiarm.dynamics.solver.bounds import (
     MOST_RANK_TOLERANCE,
     RANK_PER_GAP,
     ROUNDED_SIGMA,
-    SPLIT_BY_ARM,
+    SPLIT_BY_BLOCK,
     SPLIT_BY_OBJECT,
 )
 from multiarm.dynamics.solver.factors import (
@@ -83,9 +83,9 @@ from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, N
 
 
 class CoupledStatus(Numbers):
-    """How the coupled system was solved; all integers are 0 when no arm is deficient."""
+    """How the coupled system was solved; all integers are 0 when no block is deficient."""
 
-    arms: Int  # deficient arms
+    blocks: Int  # deficient blocks
     unknowns: Int  # unknown forces
     movable: Int  # those with a sigma
     rank: Int  # of the coupled system
@@ -93,19 +93,19 @@ class CoupledStatus(Numbers):
 
 
 class CoupledWork(NamedTuple):
-    """Arrays of the coupled system; ``n`` arms, ``N`` contacts, at most ``d`` and ``m`` an arm."""
+    """Arrays of the coupled system: ``n`` blocks, ``N`` contacts, at most ``d``, ``m`` a block."""
 
-    # (n, m, m), (n, m, d), (N,): directions v of the deficient arms (one a row), Y v, its length
+    # (n, m, m), (n, m, d), (N,): directions v of the deficient blocks (one a row), Y v, its length
     V: Floats3
     A: Floats3
     sigma: Floats1
-    deficient: Ints1  # (n,) 1 for the arms that are not eliminated as a whole
-    scale: Floats1  # (n,) sigma_best of each deficient arm
+    deficient: Ints1  # (n,) 1 for the blocks that are not eliminated as a whole
+    scale: Floats1  # (n,) sigma_best of each deficient block
     split: Floats1  # (n,) smallest sigma that is eliminated
     inertia: Floats2  # (6, 6) Cholesky factor of the object's own inertia
     wrench: Floats1  # (6,) of a contact on the object, over that factor
-    # (N,): arm of every unknown, and which of the arm's directions it is along
-    arm: Ints1
+    # (N,): block of every unknown, and which of the block's directions it is along
+    block: Ints1
     direction: Ints1
     # (N, 6): wrench of every unknown on the object, and L_S^-1 times it
     C: Floats2
@@ -114,17 +114,17 @@ class CoupledWork(NamedTuple):
     # B times these
     basis: Floats2
     images: Floats2
-    z: Floats1  # (N,) as in NodeWork, by the directions v of the deficient arms
+    z: Floats1  # (N,) as in NodeWork, by the directions v of the deficient blocks
     # (N,): right-hand side and forces of the coupled system
     right: Floats1
     unknown: Floats1
-    pivots: Ints1  # (m,) scratch: order of rows of an arm
+    pivots: Ints1  # (m,) scratch: order of rows of a block
     status: CoupledStatus
 
 
 def make_coupled(joints: list[int], contacts: list[int]) -> CoupledWork:
-    """Allocate for arms with ``joints[i]`` joints and ``contacts[i]`` contacts."""
-    n, whole = len(joints), {"arm", "direction", "pivots"}
+    """Allocate for blocks with ``joints[i]`` joints and ``contacts[i]`` contacts."""
+    n, whole = len(joints), {"block", "direction", "pivots"}
     shapes = coupled_shapes(joints, contacts)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
@@ -141,7 +141,7 @@ def coupled_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[in
     """Shapes of the arrays that depend on the contacts."""
     n, d, m, N = len(joints), max(joints), max(contacts), sum(contacts)
     return {
-        "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "arm": (N,), "direction": (N,),
+        "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "block": (N,), "direction": (N,),
         "C": (N, NODE), "B": (N, NODE), "basis": (NODE + N, N), "images": (NODE + N, NODE + N),
         "z": (N,), "right": (N,), "unknown": (N,), "pivots": (m,),
     }  # fmt: skip
@@ -151,7 +151,7 @@ def undetermined_parts(work: NodeWork, coupled: CoupledWork) -> np.ndarray:
     """Part of every contact in the null space, shape (N,): 0 (force is determined) to 1."""
     p, rank = coupled.status.unknowns, coupled.status.rank
     directions = np.zeros((p, work.first_contact[-1]))
-    for u, (i, a) in enumerate(zip(coupled.arm[:p], coupled.direction[:p], strict=True)):
+    for u, (i, a) in enumerate(zip(coupled.block[:p], coupled.direction[:p], strict=True)):
         first, end = work.first_contact[i : i + 2]
         directions[u, first:end] = coupled.V[i, a, : end - first]
     basis = coupled.basis[:rank, :p]
@@ -169,7 +169,7 @@ def object_mobility(row, coupled):
 
 @kernel
 def aligned_share(W, n, m, levers):
-    """Largest ``|W_ja| / r_j`` of an arm with ``n`` joints and ``m`` contacts."""
+    """Largest ``|W_ja| / r_j`` of a block with ``n`` joints and ``m`` contacts."""
     largest = 0.0
     for j in range(n):
         for a in range(m):
@@ -178,8 +178,8 @@ def aligned_share(W, n, m, levers):
 
 
 @kernel
-def split_arm(i, work, coupled, W_o):
-    """Decompose ``Y`` of a deficient arm: directions are added to ``S`` or to the unknowns.
+def split_block(i, work, coupled, W_o):
+    """Decompose ``Y`` of a deficient block: directions are added to ``S`` or to the unknowns.
 
     Returns whether all numbers are finite.
     """
@@ -203,7 +203,7 @@ def split_arm(i, work, coupled, W_o):
     if aligned < HARDLY_ALIGNED:
         scale *= (HARDLY_ALIGNED / aligned) ** 2 if aligned > 0.0 else 1.0
     coupled.scale[i] = scale
-    coupled.split[i] = max(SPLIT_BY_ARM * scale, SPLIT_BY_OBJECT * by_object)
+    coupled.split[i] = max(SPLIT_BY_BLOCK * scale, SPLIT_BY_OBJECT * by_object)
     least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)
     for a in range(m):
         wrench, sigma = work.Z[i, a], coupled.sigma[first + a]
@@ -219,7 +219,7 @@ def split_arm(i, work, coupled, W_o):
         if not sigma > least:
             coupled.sigma[first + a] = 0.0
         p = coupled.status.unknowns
-        coupled.arm[p], coupled.direction[p] = i, a
+        coupled.block[p], coupled.direction[p] = i, a
         copy(wrench, coupled.C[p])
         coupled.status.unknowns = p + 1
     return True
@@ -228,7 +228,7 @@ def split_arm(i, work, coupled, W_o):
 @inlined
 def sigma_of(u, work, coupled):
     """``sigma`` of an unknown."""
-    return coupled.sigma[work.first_contact[coupled.arm[u]] + coupled.direction[u]]
+    return coupled.sigma[work.first_contact[coupled.block[u]] + coupled.direction[u]]
 
 
 @kernel
@@ -259,7 +259,7 @@ def find_rank(work, coupled, lever, gap):
         if sigma > 0.0:
             for w in range(p):
                 basis[rows, w] = 0.0
-            basis[rows, u] = sigma / coupled.scale[coupled.arm[u]]
+            basis[rows, u] = sigma / coupled.scale[coupled.block[u]]
             rows += 1
     status.movable = rows - NODE
     orthogonalize(basis, rows, p, basis, 0)
@@ -300,20 +300,20 @@ def image_basis(work, coupled):
 
 @inlined
 def couple(work, coupled, W_o, object_inertia, decompose_all=False, gap=0.0):
-    """Factor a system with deficient arms, after
-    :func:`multiarm.dynamics.solver.node.eliminate_arms`.
+    """Factor a system with deficient blocks, after
+    :func:`multiarm.dynamics.solver.node.eliminate_blocks`.
 
-    With ``decompose_all`` no arm is eliminated as a whole, whatever its pivots are.  ``gap`` is the
-    largest one [m] that the solution is to close: the rank is uncertain by as much.  Returns the
-    smallest relative pivot of the object's inertia or of the node matrix; the factors are usable
-    only when that is positive (and not NaN).
+    With ``decompose_all`` no block is eliminated as a whole, whatever its pivots are.  ``gap`` is
+    the largest one [m] that the solution is to close: the rank is uncertain by as much.  Returns
+    the smallest relative pivot of the object's inertia or of the node matrix; the factors are
+    usable only when that is positive (and not NaN).
     """
     copy_lower(object_inertia, NODE, coupled.inertia)
     pivot = factor_cholesky(coupled.inertia, NODE)
     if not pivot > 0.0:
         return pivot
     pivot = build_node(work, coupled, W_o, object_inertia, decompose_all)
-    if not pivot > COUPLED_BELOW and coupled.status.arms < work.first_joint.size - 1:
+    if not pivot > COUPLED_BELOW and coupled.status.blocks < work.first_joint.size - 1:
         pivot = build_node(work, coupled, W_o, object_inertia, True)
     if pivot > 0.0:
         find_rank(work, coupled, lever_length(W_o), gap)
@@ -325,16 +325,16 @@ def couple(work, coupled, W_o, object_inertia, decompose_all=False, gap=0.0):
 def build_node(work, coupled, W_o, object_inertia, decompose_all):
     """Factor the node matrix of all eliminated directions; returns its smallest relative pivot.
 
-    Deficient arms are decomposed, or with ``decompose_all`` all arms.
+    Deficient blocks are decomposed, or with ``decompose_all`` all blocks.
     """
     status = coupled.status
-    status.arms = status.unknowns = 0
+    status.blocks = status.unknowns = 0
     copy_lower(object_inertia, NODE, work.S)
     for i in range(work.first_joint.size - 1):
         coupled.deficient[i] = 1 if decompose_all or not work.pivot[i] > COUPLED_BELOW else 0
         if coupled.deficient[i] != 0:
-            status.arms += 1
-            if not split_arm(i, work, coupled, W_o):
+            status.blocks += 1
+            if not split_block(i, work, coupled, W_o):
                 return math.nan
         else:
             add_to_node(i, work)
@@ -365,7 +365,7 @@ def solve_coupled_forces(work, coupled, a_o):
     status = coupled.status
     p, width = status.unknowns, NODE + status.movable
     for u in range(p):
-        z = coupled.z[work.first_contact[coupled.arm[u]] + coupled.direction[u]]
+        z = coupled.z[work.first_contact[coupled.block[u]] + coupled.direction[u]]
         coupled.right[u], coupled.unknown[u] = less_product(z, coupled.B[u], a_o), 0.0
     for r in range(status.rank):
         size = norm(coupled.images[r], width)
@@ -381,7 +381,7 @@ def solve_coupled_forces(work, coupled, a_o):
 
 @kernel
 def recover_deficient_forces(i, work, coupled, a_o, force):
-    """Contact forces of a deficient arm along its eliminated directions."""
+    """Contact forces of a deficient block along its eliminated directions."""
     r0, m = work.first_contact[i], contact_count(i, work)
     V, Z, z = coupled.V[i], work.Z[i], coupled.z
     for b in range(m):
@@ -401,7 +401,7 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
     Parameters
     ----------
     f_o : (6,), f_j : (sum of joints,), c : (sum of contacts,)
-        Right-hand sides, arms stacked.
+        Right-hand sides, blocks stacked.
     a_o : (6,), a_j : (sum of joints,), force : (sum of contacts,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
@@ -422,7 +422,7 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
         else:
             recover_deficient_forces(i, work, coupled, a_o, force)
     for u in range(coupled.status.unknowns):
-        i = coupled.arm[u]
+        i = coupled.block[u]
         r0, m = work.first_contact[i], contact_count(i, work)
         for b in range(m):
             force[r0 + b] += coupled.unknown[u] * coupled.V[i, coupled.direction[u], b]

@@ -176,8 +176,8 @@ class CompiledBackend:
         for place, offsets in zip(self.places, self._offsets, strict=True):
             coriolis.matrices[place] = MatrixAddress(at + 8 * offsets.inertia, offsets.stride)
         calls, struct = coriolis.calls, self._struct
-        calls.compiled, calls.compiled_struct = address_of(update_coriolis), struct.ctypes.data
-        calls.compiled_size = struct.size
+        calls.compiled, calls.arms_struct = address_of(update_coriolis), struct.ctypes.data
+        calls.arms_size = struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques too."""

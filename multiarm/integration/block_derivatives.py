@@ -1,4 +1,4 @@
-r"""Derivatives of the accelerations arm by arm, at a cost linear in the arms.
+r"""Derivatives of the accelerations block by block, at a cost linear in the blocks.
 
 The accelerations and contact forces :math:`y = (\dot v_o, \ddot q_i, \lambda_i)` of a state ``x``
 solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
@@ -11,14 +11,14 @@ solve :math:`F(x, y) = 0` (:mod:`multiarm.dynamics.derivatives`),
 so that :math:`dy = -K^{-1}\, \partial F`.  The derivatives of these equations at fixed ``y`` are
 exact (:mod:`multiarm.dynamics.equation_derivatives`), up to those of the forces of control and
 effects, which are as these state them (:mod:`multiarm.dynamics.force_derivatives`).  Where control
-and effects are *local*, an arm's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this arm
-and of the object only, and :math:`f_o` on the object's.
+and effects are *local*, a block's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this
+block and of the object only, and :math:`f_o` on the object's.
 
 *The multipliers* s of a control law (:mod:`multiarm.dynamics.control_laws`) are six more unknowns:
-with them an arm's torques are local too, and the wrench balance :math:`F_s = \sum_i r_i - w = 0`
+with them a block's torques are local too, and the wrench balance :math:`F_s = \sum_i r_i - w = 0`
 is six more equations.
 
-*Each arm* is solved on its own for its columns x_i, the object's 12, the time, and the six of
+*Each block* is solved on its own for its columns x_i, the object's 12, the time, and the six of
 :math:`\chi = d\dot v_o`, and then the object by its mobility,
 
 .. math::
@@ -34,14 +34,19 @@ With s the *couplings* are twelve: :math:`\chi` has ds below it, U the columns o
 its own, S the rows :math:`(0, \partial F_s / \partial s)`, and the right sides of B the rows
 :math:`-\partial r_i, -\sum_i \partial_o r_i`.
 
-*Powers* of local forces are those of the forces on each joint and on the object, so that each arm
+*Powers* of local forces are those of the forces on each joint and on the object, so that each block
 has its own part of them; their derivatives follow by the product rule.
 """
 
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
-from multiarm.dynamics.coordinates import arm_columns, chart_places, equation_columns, force_columns
+from multiarm.dynamics.coordinates import (
+    block_columns,
+    chart_places,
+    equation_columns,
+    force_columns,
+)
 from multiarm.dynamics.equation_derivatives import (
     add_drift_feedback,
     open_equations,
@@ -55,15 +60,15 @@ from multiarm.dynamics.force_derivatives import (
 )
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import NOT_FINITE, OK
-from multiarm.integration.arm_blocks import block_columns
+from multiarm.integration.block_matrices import derivative_columns
 from multiarm.jit.kernels import clear, inlined, kernel
 
 
 @kernel
-def differentiate_arms(step, blocks, h):
+def differentiate_blocks(step, blocks, h):
     """Write the derivatives at the beginning of a step, right after its evaluation.
 
-    Returns a status; ``NOT_FINITE`` also where a matrix of an arm is singular, ``SINGULAR`` where
+    Returns a status; ``NOT_FINITE`` also where a matrix of a block is singular, ``SINGULAR`` where
     a law has no derivative at this state.
     """
     model, data, work = open_system(step.system)
@@ -77,21 +82,21 @@ def differentiate_arms(step, blocks, h):
         return status
     add_drift_feedback(step.system, blocks.equations, step.stage.alpha, step.stage.beta)
     add_equations(step, blocks)
-    usable, differences = factor_arms(blocks, data, work), blocks.differences
+    usable, differences = factor_blocks(blocks, data, work), blocks.differences
     begin_differences(model, data, differences, h)
     status = differentiate_forces(step.system, differences, blocks.powers, gather, blocks)
     step.stage.evaluations += differences.evaluations
     if status != OK:
         return status
     gather_balance(blocks, data)
-    return OK if usable and solve_arms(blocks, work) else NOT_FINITE
+    return OK if usable and solve_blocks(blocks, work) else NOT_FINITE
 
 
 @kernel
 def add_equations(step, blocks):
-    """Add the derivatives of the arms and their contacts."""
+    """Add the derivatives of the blocks and their contacts."""
     _, data, work = open_system(step.system)
-    equations, at = open_equations(blocks.equations), block_columns(blocks)
+    equations, at = open_equations(blocks.equations), derivative_columns(blocks)
     of_state = equation_columns(data)
     for l in range(blocks.frames):
         for c in range(of_state.positions):
@@ -104,7 +109,7 @@ def add_equations(step, blocks):
             equations.dF[i],
         )
         n, m = work.first_joint[i + 1] - d0, work.first_contact[i + 1] - r0
-        columns = arm_columns(n, 0)
+        columns = block_columns(n, 0)
         for c in range(columns.end):
             column = column_of_block(at, columns, c)
             for k in range(n + m):
@@ -118,7 +123,7 @@ def add_equations(step, blocks):
 
 @inlined
 def column_of_block(at, columns, c):
-    """Place in an arm's block of a column of its equations."""
+    """Place in a block's block of a column of its equations."""
     if c < columns.positions:
         return at.pose + c
     return c - columns.positions if c < columns.rates else at.rates + c - columns.rates
@@ -135,7 +140,7 @@ def gather(blocks, data, work, power, of_drives):
     See :func:`multiarm.dynamics.force_derivatives.differentiate_forces`.
     """
     total, frames = blocks.works - 1, blocks.frames
-    places, at = chart_places(data), block_columns(blocks)
+    places, at = chart_places(data), derivative_columns(blocks)
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     slopes = data.slopes.torque if of_drives else data.slopes.force
     force, first = (data.control.torque, 0) if of_drives else (data.forces.f_j, places.joints)
@@ -175,7 +180,7 @@ def gather(blocks, data, work, power, of_drives):
 @kernel
 def gather_balance(blocks, data):
     """Add the derivatives of the wrench balance that determines a law's multipliers."""
-    of_forces, at, o = force_columns(data), block_columns(blocks), blocks.frames
+    of_forces, at, o = force_columns(data), derivative_columns(blocks), blocks.frames
     for l in range(blocks.couplings - o):
         slopes = data.slopes.balance[l]
         for c in range(2 * o):
@@ -193,8 +198,8 @@ def gather_balance(blocks, data):
 
 
 @kernel
-def factor_arms(blocks, data, work):
-    """Factors of the arms' equations, and ``M_o`` in S; returns whether they can be used."""
+def factor_blocks(blocks, data, work):
+    """Factors of the blocks' equations, and ``M_o`` in S; returns whether they can be used."""
     usable, S, K = True, blocks.S, open_equations(blocks.equations).K
     frames = blocks.frames
     for l in range(blocks.couplings):
@@ -213,10 +218,10 @@ def factor_arms(blocks, data, work):
 
 
 @kernel
-def solve_arms(blocks, work):
+def solve_blocks(blocks, work):
     """From the derivatives of F to those of the accelerations; returns whether it succeeded."""
     S, u, K = blocks.S, blocks.couplings, open_equations(blocks.equations).K
-    at, of_object = block_columns(blocks), blocks.by_object.shape[1]
+    at, of_object = derivative_columns(blocks), blocks.by_object.shape[1]
     for l in range(u):
         for c in range(of_object):
             blocks.by_object[l, c] = -blocks.by_object[l, c]
@@ -256,7 +261,7 @@ def solve_arms(blocks, work):
 def write_time_slope(blocks, struct, slope):
     """Write the derivative of the whole slope with respect to time."""
     _, data, work = open_system(struct)
-    places, at = chart_places(data), block_columns(blocks)
+    places, at = chart_places(data), derivative_columns(blocks)
     time = at.time - at.pose
     rates, powers = blocks.d + blocks.m, blocks.d + blocks.m + blocks.e
     clear(slope)

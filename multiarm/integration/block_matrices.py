@@ -1,17 +1,17 @@
-r"""Blocks of the derivatives of the accelerations, for each arm: linear in the arms.
+r"""Blocks of the derivatives of the accelerations, for each block: linear in the blocks.
 
-Where control and effects are local, an arm's accelerations, and the forces of its contacts, are
+Where control and effects are local, a block's accelerations, and the forces of its contacts, are
 functions of its own state :math:`x_i`, of the object's :math:`x_o`, and of the *couplings*: the
-object's acceleration, and the multipliers of a control law that distributes a wrench over the arms
-(:mod:`multiarm.dynamics.control_laws`).  With :math:`\chi` the derivatives of these,
+object's acceleration, and the multipliers of a control law that distributes a wrench over the
+blocks (:mod:`multiarm.dynamics.control_laws`).  With :math:`\chi` the derivatives of these,
 
 .. math::
     d\ddot q_i = A_i\, dx_i + A_{oi}\, dx_o + U_i\, \chi, \qquad
     \chi = \sum_i B_i\, dx_i + B_o\, dx_o
 
-(:mod:`multiarm.integration.arm_derivatives`).  The rates of effects' states have rows in
+(:mod:`multiarm.integration.block_derivatives`).  The rates of effects' states have rows in
 :math:`A_i`, whose columns contain these states.  The linear systems of a step with these blocks:
-:mod:`multiarm.integration.arm_stages`.
+:mod:`multiarm.integration.block_stages`.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Int, Ints1, Ints2
 
 
-class ArmBlocks(NamedTuple):
-    """Arrays for ``n`` arms; ``d`` joints, ``m`` contacts and ``e`` effects' states of the largest.
+class BlockMatrices(NamedTuple):
+    """Arrays for ``n`` blocks; ``d`` joints, ``m`` contacts, ``e`` effects' states of the largest.
 
-    An arm has ``P = 2 d + e`` columns of its own.  Its ``R = d + m + e + w`` rows are those of its
+    A block has ``P = 2 d + e`` columns of its own.  Its ``R = d + m + e + w`` rows are those of its
     joints, right after them those of its contacts, from row ``d + m`` on the rates of its states,
     and from ``d + m + e`` on its ``w`` powers.
     """
@@ -43,13 +43,13 @@ class ArmBlocks(NamedTuple):
     e: Int
     works: Int  # powers: of the effects that do work, last of control and effects
     frames: Int  # velocities of the object, o
-    couplings: Int  # unknowns that couple the arms: the object's accelerations, six multipliers
-    counts: Ints1  # (n,) effects' states of each arm
+    couplings: Int  # unknowns that couple the blocks: the object's accelerations, six multipliers
+    counts: Ints1  # (n,) effects' states of each block
     states: Ints2  # (n, e) their places among all
     # (n, P + 2 o + 1 + u) column of each one of ``derivatives`` among those of forces; -1: none
     sources: Ints2
     powers: Ints1  # (effects that are called,) the place of each one's power, -1 without
-    # struct of multiarm.dynamics.equation_derivatives, for all arms; its K has the factors of each
+    # struct of multiarm.dynamics.equation_derivatives, for all blocks; its K has all factors
     equations: Ints1
     differences: ForceDifferences
     # for u couplings: A, A_o, U, before the solution those of F, (n, R, P + 2 o + 1 + u); B_i
@@ -59,7 +59,7 @@ class ArmBlocks(NamedTuple):
     by_object: Floats2
     W_o: Floats2  # (N, o) at the beginning of the step
     # factors: of S (u, u), of E (n, d + e, d + e), of the system for chi (u, u); pivots of each
-    # arm's equations
+    # block's equations
     K_pivots: Ints2
     S: Floats2
     S_pivots: Ints1
@@ -70,7 +70,7 @@ class ArmBlocks(NamedTuple):
     node: Floats2
     node_pivots: Ints1
     # of a stage: derivatives of the couplings (u,), rates of the object (2 o,), unknowns of
-    # each arm (n, d + e)
+    # each block (n, d + e)
     chi: Floats1
     rates: Floats1
     unknowns: Floats2
@@ -83,10 +83,10 @@ class ArmBlocks(NamedTuple):
         return (*derivatives, *factors, self.chi, self.rates, self.unknowns)
 
 
-class BlockColumns(NamedTuple):
-    """First columns of ``ArmBlocks.derivatives``; the arm's positions begin at zero.
+class DerivativeColumns(NamedTuple):
+    """First columns of ``BlockMatrices.derivatives``; the block's positions begin at zero.
 
-    Those of the object's pose, its twist and the time are all that ``ArmBlocks.by_object`` has.
+    Those of the object's pose, its twist and the time are all that ``BlockMatrices.by_object`` has.
     """
 
     rates: int
@@ -100,12 +100,12 @@ class BlockColumns(NamedTuple):
 
 
 @plain
-def block_columns(blocks):
+def derivative_columns(blocks):
     """The columns for the sizes of these blocks."""
     pose = 2 * blocks.d + blocks.e
     time = pose + 2 * blocks.frames
     couplings = time + 1
-    return BlockColumns(
+    return DerivativeColumns(
         blocks.d,
         2 * blocks.d,
         pose,
@@ -117,7 +117,7 @@ def block_columns(blocks):
     )
 
 
-def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
+def make_block_matrices(data: Data, step: Step, equations: np.ndarray) -> BlockMatrices:
     """Allocate the blocks of a system; see :func:`acts_locally` for when they are used.
 
     ``equations`` is the struct of the derivatives of its equations.
@@ -125,31 +125,31 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
     layout, effects = data.model.layout, data.model.effects
     n, d = layout.block_count, max(layout.joint_counts)
     m, works = max(layout.contact_counts), step.z.size - step.tolerance.size
-    states_by_arm: list[list[int]] = [[] for _ in range(n)]
+    states_by_block: list[list[int]] = [[] for _ in range(n)]
     if effects.local:
         state_joints = [joint for effect in effects.kernels for joint in effect.state_joints]
         for state, joint in enumerate(state_joints):
-            states_by_arm[layout.block_of_joint(joint)].append(state)
-    e = max(map(len, states_by_arm))
-    of_arm, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
+            states_by_block[layout.block_of_joint(joint)].append(state)
+    e = max(map(len, states_by_block))
+    of_block, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
     constants = data.model.constants
     distributes = len(constants.control) > 0 and constants.control_reach == CARRYING
     u, of_object = (2 if distributes else 1) * frames, 2 * frames + 1
-    blocks = ArmBlocks(
+    blocks = BlockMatrices(
         d=d,
         m=m,
         e=e,
         works=works,
         frames=frames,
         couplings=u,
-        counts=np.array(list(map(len, states_by_arm)), dtype=np.int64),
+        counts=np.array(list(map(len, states_by_block)), dtype=np.int64),
         states=np.full((n, e), -1, dtype=np.int64),
-        sources=np.full((n, of_arm + of_object + u), -1, dtype=np.int64),
+        sources=np.full((n, of_block + of_object + u), -1, dtype=np.int64),
         powers=effects.powers,
         equations=equations,
         differences=ForceDifferences(local=1, laws=len(constants.control) - distributes, order=1),
-        derivatives=np.zeros((n, rows, of_arm + of_object + u)),
-        on_object=np.zeros((n, u, of_arm)),
+        derivatives=np.zeros((n, rows, of_block + of_object + u)),
+        on_object=np.zeros((n, u, of_block)),
         by_object=np.zeros((u + works, of_object)),
         W_o=np.zeros((layout.contacts, frames)),
         K_pivots=np.zeros((n, d + m), dtype=np.int64),
@@ -165,9 +165,9 @@ def make_arm_blocks(data: Data, step: Step, equations: np.ndarray) -> ArmBlocks:
         rates=np.zeros(2 * frames),
         unknowns=np.zeros((n, d + e)),
     )
-    at = block_columns(blocks)
+    at = derivative_columns(blocks)
     of_forces = columns_of_forces(layout.nv, layout.joints, effects.states)
-    for i, states in enumerate(states_by_arm):
+    for i, states in enumerate(states_by_block):
         joints, columns = np.arange(layout.joints)[layout.joints_of_block(i)], blocks.sources[i]
         blocks.states[i, : len(states)] = states
         columns[: joints.size] = of_forces.positions + joints
@@ -187,11 +187,11 @@ def acts_locally(step):
     controlled = model.control.shape[0] > 0 and not torques_are_held(model, data)
     if not model.local_effects or (controlled and model.control_reach > CARRYING):
         return False
-    # contacts of modes need not be those of arms
+    # contacts of modes need not be those of blocks
     return not (model.dense or data.modes.active)
 
 
 @kernel
 def is_regular(struct):
-    """Whether the last evaluation has eliminated every arm as a whole."""
+    """Whether the last evaluation has eliminated every block as a whole."""
     return open_data(struct).solution.elimination == WHOLE

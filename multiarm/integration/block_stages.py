@@ -1,7 +1,7 @@
-r"""The linear systems of a Rosenbrock method's stages, arm by arm: linear in the arms.
+r"""The linear systems of a Rosenbrock method's stages, block by block: linear in the blocks.
 
-With the blocks A, B, U of :mod:`multiarm.integration.arm_blocks`, a stage has the unknowns
-:math:`k_i`, the rates of an arm's velocities and effects' states, those of the object :math:`k_o`,
+With the blocks A, B, U of :mod:`multiarm.integration.block_matrices`, a stage has the unknowns
+:math:`k_i`, the rates of a block's velocities and effects' states, those of the object :math:`k_o`,
 and :math:`\chi`, the derivatives along the stage of the couplings: the object's acceleration, and
 the multipliers of a control law.  With R of
 :mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
@@ -11,8 +11,8 @@ joints' positions) and the first six of :math:`\chi`, these rates are functions 
     k_o = \gamma (r_o + h \chi), \qquad k_x = R_o (r_x + h k_o), \qquad
     k_{qi} = \gamma (r_{qi} + h k_i) .
 
-What is left is a matrix :math:`E_i` as large as the arm's velocities and states, and one system for
-:math:`\chi` alone, six equations or twelve:
+What is left is a matrix :math:`E_i` as large as the block's velocities and states, and one system
+for :math:`\chi` alone, six equations or twelve:
 
 .. math::
     E_i &= \frac1\gamma - h A^v_i - h^2 \gamma A^q_i, \qquad
@@ -33,7 +33,7 @@ from __future__ import annotations
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
-from multiarm.integration.arm_blocks import block_columns
+from multiarm.integration.block_matrices import derivative_columns
 from multiarm.jit.kernels import clear, inlined, kernel
 
 
@@ -41,7 +41,7 @@ from multiarm.jit.kernels import clear, inlined, kernel
 def factor_stages(gamma, blocks, struct, velocity, h):
     """Factors of the stages' systems; returns whether they can be used."""
     _, _, work = open_system(struct)
-    d, at, node, usable = blocks.d, block_columns(blocks), blocks.node, True
+    d, at, node, usable = blocks.d, derivative_columns(blocks), blocks.node, True
     u = blocks.couplings
     for l in range(u):
         clear(node[l])
@@ -115,10 +115,10 @@ def turn(a, half, omega, vector, out):
 
 
 @kernel
-def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
+def solve_block_stage(gamma, blocks, struct, velocity, h, right, out):
     """Solve a stage's system for the right-hand side ``right``."""
     _, data, work = open_system(struct)
-    places, d, at = chart_places(data), blocks.d, block_columns(blocks)
+    places, d, at = chart_places(data), blocks.d, derivative_columns(blocks)
     chi, k_o, frames = blocks.chi, blocks.rates, blocks.frames
     clear(chi)
     write_object_rates(gamma, h, velocity, places, right, chi, k_o)
@@ -166,7 +166,7 @@ def solve_arm_stage(gamma, blocks, struct, velocity, h, right, out):
 
 @inlined
 def unknown_place(blocks, i, places, d0, joints, r):
-    """Place in the state of an unknown of an arm: a joint's velocity or an effect's state."""
+    """Place in the state of an unknown of a block: a joint's velocity or an effect's state."""
     return places.rates + d0 + r if r < joints else places.states + blocks.states[i, r - joints]
 
 
@@ -186,7 +186,7 @@ def write_object_rates(gamma, h, velocity, places, right, chi, rates):
 @inlined
 def add_powers(gamma, blocks, work, places, h, right, out):
     """Rates of the works along the rates of the state, which are known."""
-    at, first = block_columns(blocks), blocks.d + blocks.m + blocks.e
+    at, first = derivative_columns(blocks), blocks.d + blocks.m + blocks.e
     for k in range(blocks.works):
         total, row = 0.0, blocks.by_object[blocks.couplings + k]
         for c in range(blocks.rates.size):

@@ -105,7 +105,7 @@ SCENES = {
 
 def used(stepping) -> bool:
     """Whether the step has differentiated arm by arm."""
-    return bool(stepping.work[0].derived.arm_by_arm)
+    return bool(stepping.work[0].derived.block_by_block)
 
 
 # --- the derivatives, and runs with them ---------------------------------------------------------
