@@ -163,7 +163,7 @@ def _measure(kind: str, count: int, rounds: int) -> dict[str, Any]:
         OURS: evaluation.accelerations[6:],
         COMPILED: evaluate(compiled, 0.0, state).accelerations[6:],
     }
-    remark = too_large_for_pinocchio(system.model.layout.joints)
+    remark = too_large_for_pinocchio(system.model.layout.rate_count)
     peers: dict[str, Callable[[], np.ndarray]] = {}
     if not remark:
         peers = {

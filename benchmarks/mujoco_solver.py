@@ -18,7 +18,7 @@ class Mujoco(MujocoPeer, Solver):
 
     def accelerations(self, state: State, torque: np.ndarray) -> np.ndarray:
         """As MuJoCo returns them, in the package's order and axes."""
-        d, n = self.data, self.system.model.layout.joints
+        d, n = self.data, self.system.model.layout.rate_count
         self.place(state)
         d.qfrc_applied[:n] = torque
         with quiet():

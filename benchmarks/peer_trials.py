@@ -117,7 +117,7 @@ def state_at(system: System, time: float) -> tuple[float, State]:
 
 def all_answers(system: System, time: float, state: State) -> list[Answer]:
     """The answers of all solvers, ours first."""
-    memory = memory_needed(system.model.layout.joints)
+    memory = memory_needed(system.model.layout.rate_count)
     spared = PINOCCHIO if memory > MOST_MEMORY else {}
     asked = {name: place for name, place in SOLVERS.items() if name not in spared}
     able, refusals = make_peers(system, asked)

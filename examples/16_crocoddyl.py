@@ -46,7 +46,7 @@ class ClosedChains(crocoddyl.DifferentialActionModelAbstract):
     """
 
     def __init__(self, system: ma.System, rest: np.ndarray, place: float, still: float) -> None:
-        self.joints = system.model.layout.joints
+        self.joints = system.model.layout.rate_count
         super().__init__(manifold(self.joints), self.joints, 0)
         self.torque = rest.copy()
         self.system = system.with_control(self._torques)

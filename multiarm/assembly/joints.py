@@ -41,7 +41,7 @@ NO_SIDE_SLIP = "no slip sideways"
 
 
 @dataclass(frozen=True)
-class Rows:
+class SceneRows:
     """All rows of W of a scene."""
 
     layout: Layout
@@ -91,7 +91,7 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
     return {name: frames[name] for name in closed.model.connections}
 
 
-def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> Rows:
+def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> SceneRows:
     """All rows that can be active, and which of them are unilateral."""
     connections = scene_connections(scene, robots)
     contacts = {name: joint.contacts for name, joint in joints.items()}
@@ -121,7 +121,7 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> R
             for record in on_link
         ]
     )
-    return Rows(layout, blocks, connections, records, on_links, packed, unilateral)
+    return SceneRows(layout, blocks, connections, records, on_links, packed, unilateral)
 
 
 def _rows_of_joints(robot: ResolvedRobot) -> list[JointRow | WheelRow]:

@@ -269,19 +269,19 @@ def _places_of_bases(data: Data) -> np.ndarray:
     return places
 
 
-def gaps_by_arm(data: Data) -> dict[str, float]:
+def gaps_by_owner(data: Data) -> dict[str, float]:
     """Largest magnitude of a gap, by owner of rows [m]; of couplings [rad, m]."""
-    return _largest_by_arm(data, data.contact_rows.gap)
+    return _largest_by_owner(data, data.contact_rows.gap)
 
 
-def gap_rates_by_arm(data: Data) -> dict[str, float]:
+def gap_rates_by_owner(data: Data) -> dict[str, float]:
     """Largest magnitude of a gap rate, by owner of rows [m/s]; of couplings [rad/s, m/s]."""
-    return _largest_by_arm(data, data.contact_rows.gap_rate)
+    return _largest_by_owner(data, data.contact_rows.gap_rate)
 
 
-def _largest_by_arm(data: Data, values: np.ndarray) -> dict[str, float]:
+def _largest_by_owner(data: Data, values: np.ndarray) -> dict[str, float]:
     parts = data.model.layout.split_contacts(np.abs(values))
-    return {arm: float(np.max(values, initial=0.0)) for arm, values in parts.items()}
+    return {owner: float(np.max(values, initial=0.0)) for owner, values in parts.items()}
 
 
 def joints_at_limit(data: Data) -> tuple[str, ...]:

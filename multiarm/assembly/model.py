@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.joints import Rows
+from multiarm.assembly.joints import SceneRows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.control.program import ControlProgram
@@ -73,7 +73,7 @@ def uncontrolled_model(
     scene: Scene,
     robots: Robots,
     joints: Mapping[str, Joint],
-    rows: Rows,
+    rows: SceneRows,
     backends: Backends,
 ) -> Model:
     """The model of a scene without its control.
@@ -84,7 +84,7 @@ def uncontrolled_model(
     by_name, layout, unilateral = robots.by_name, rows.layout, rows.unilateral
     outlines = {name: robot.joints for name, robot in robots.resolved.items()}
     context = BuildContext(scene, by_name, layout, outlines)
-    effects = effect_program(context, unilateral_kernels(unilateral, layout.joints))
+    effects = effect_program(context, unilateral_kernels(unilateral, layout.rate_count))
     of_robots = {name: on_link for name, on_link in rows.on_links.items() if name != SURROUNDINGS}
     enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
@@ -170,7 +170,7 @@ def _constants(
     bodies: BodyTable,
     connections: Connections,
     frames: Mapping[str, JointFrame],
-    rows: Rows,
+    rows: SceneRows,
     effects: EffectProgram,
     backends: Backends,
 ) -> Constants:

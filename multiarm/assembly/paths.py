@@ -216,7 +216,7 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
         return True
     data.reraise()
     data.set_state(0.0, state)
-    free = np.full((data.model.layout.joints, 2), [-np.inf, np.inf])
+    free = np.full((data.model.layout.rate_count, 2), [-np.inf, np.inf])
     for i in data.model.layout.blocks_of_robots:
         require_ok(data, update_kinematics(data.struct))
         if not close_gaps(Linkage(data, [i], False, free), tolerance).closed:

@@ -32,8 +32,8 @@ import numpy as np
 
 from multiarm.assembly.linkage import (
     Linkage,
-    gap_rates_by_arm,
-    gaps_by_arm,
+    gap_rates_by_owner,
+    gaps_by_owner,
     joints_at_limit,
     projection_tolerance,
     scene_size,
@@ -86,7 +86,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         raise SceneError(
             [f"{lost_contact(data, int(row))}; correct its placement at the start" for row in lost]
         )
-    gaps, rates = gaps_by_arm(data), gap_rates_by_arm(data)
+    gaps, rates = gaps_by_owner(data), gap_rates_by_owner(data)
     size = scene_size(data)
     faults = too_far(data, scene, name, size)
     if faults:
@@ -109,7 +109,7 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     return start, StartReport(
         gaps=gaps,
         gap_rates=rates,
-        gaps_left=gaps_by_arm(data),
+        gaps_left=gaps_by_owner(data),
         joint_change=max(joint_changes.values(), default=0.0),
         joint_changes=joint_changes,
         base_shifts=base_shifts,
@@ -179,8 +179,8 @@ def unassembled_start(data: Data, written: State) -> tuple[State, StartReport]:
     """The start as written, with its gaps."""
     data.set_state(0.0, written)
     require_ok(data, update_kinematics(data.struct))
-    gaps = gaps_by_arm(data)
-    rates = gap_rates_by_arm(data)
+    gaps = gaps_by_owner(data)
+    rates = gap_rates_by_owner(data)
     return written, StartReport(gaps=gaps, gap_rates=rates, gaps_left=gaps, assembled=False)
 
 
@@ -355,7 +355,7 @@ def _close_rates(data: Data, size: float) -> float:
 
     Velocities whose gap rates are roundings are not changed.
     """
-    b, joints = data.arrays, data.model.layout.joints
+    b, joints = data.arrays, data.model.layout.rate_count
     free = np.full((joints, 2), [-np.inf, np.inf])
     blocks = list(range(data.model.layout.block_count))
     linkage = Linkage(data, blocks, True, free, True, size)

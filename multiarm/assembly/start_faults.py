@@ -26,23 +26,24 @@ from multiarm.scene.values import SURROUNDINGS
 
 def inside(data: Data, constraint: Constraint, depth: float) -> str:
     """The fault of a contact or joint that is beyond what it may reach, by ``depth`` [m, rad]."""
-    if constraint.arm == SURROUNDINGS:
+    if constraint.owner == SURROUNDINGS:
         return (
             f"at the start '{constraint.name}' of the object is below the floor by {depth:.3g} m; "
             "correct 'object.pose', or the surfaces"
         )
     if constraint.kind != LIMIT:
-        where = f"'{constraint.arm}/{constraint.name}' is inside the arm's surface"
+        where = f"'{constraint.owner}/{constraint.name}' is inside the arm's surface"
         remedy = "the posture"
-        if not is_tip_of_arm(data.model.connections[constraint.arm]):
-            where = f"'{constraint.arm}/{constraint.name}' is inside the surface of the first body"
+        if not is_tip_of_arm(data.model.connections[constraint.owner]):
+            place = f"'{constraint.owner}/{constraint.name}'"
+            where = f"{place} is inside the surface of the first body"
         return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
-    first = data.model.layout.first_joint[data.model.arm_names.index(constraint.arm)]
+    first = data.model.layout.first_joint[data.model.arm_names.index(constraint.owner)]
     limit = data.model.records[constraint.row]
     assert isinstance(limit, JointRow) and limit.bound is not None, "a limit is a joint's"
     at = data.arrays.state.joint_positions[first + limit.joint]
     end = "below its lower end" if limit.side > 0.0 else "above its upper end"
-    name = f"{constraint.arm}/{data.model.joint_name(constraint.joint)}"
+    name = f"{constraint.owner}/{data.model.joint_name(constraint.joint)}"
     return (
         f"$.effects.joint_limits: '{name}' starts at {at:.6g}, {end} {limit.bound:.6g}; "
         f"correct the posture, or the range"

@@ -34,7 +34,7 @@ class Constraint:
     ----------
     kind : str
         ``CONTACT``, ``LIMIT`` or ``DRY_JOINT``.
-    arm, name : str
+    owner, name : str
         Of a contact the owner of its row, of a joint its robot.
     row : int
         Its (normal) row.
@@ -56,7 +56,7 @@ class Constraint:
     """
 
     kind: str
-    arm: str
+    owner: str
     name: str
     row: int
     tangents: tuple[int, ...] = ()
@@ -132,8 +132,8 @@ class UnilateralConstraints:
         )
 
     def contacts_of(self, owner: str) -> tuple[str, ...]:
-        """Names of the unilateral contacts of an arm, or of the surroundings."""
-        return tuple(contact.name for contact in self.contacts if contact.arm == owner)
+        """Names of the unilateral contacts of an owner of rows."""
+        return tuple(contact.name for contact in self.contacts if contact.owner == owner)
 
 
 class ContactParameters(NamedTuple):
@@ -169,8 +169,8 @@ class RowBuilder:
         return self.count - 1
 
     def _constrain(self, kind: str, record: Record, row: int, **more: Any) -> None:
-        arm = self.owner if kind == CONTACT else self.robot
-        self.constraints.append(Constraint(kind, arm, record.name, row, **more))
+        owner = self.owner if kind == CONTACT else self.robot
+        self.constraints.append(Constraint(kind, owner, record.name, row, **more))
 
     def add_contact(self, contact: Contact, parameters: ContactParameters | None) -> None:
         """A contact, bilateral without parameters."""

@@ -205,7 +205,7 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     """Constant joint torques that hold the system at rest at its start, shape (n,)."""
     gravity, b = data.model.constants.gravity, data.arrays
     if not np.any(gravity):
-        return np.zeros(data.model.layout.joints)
+        return np.zeros(data.model.layout.rate_count)
     state = start.copy()
     state.velocity[:] = 0.0
     data.set_state(0.0, state)

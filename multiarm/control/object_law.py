@@ -57,7 +57,7 @@ class ObjectCommand(NamedTuple):
     @classmethod
     def of(cls, data: Data) -> ObjectCommand:
         """Allocate for some data."""
-        joints, contacts = data.model.layout.joints, data.model.layout.contacts
+        joints, contacts = data.model.layout.rate_count, data.model.layout.contacts
         return cls(
             acceleration=np.zeros(6),
             preferred=np.zeros(joints),

@@ -65,7 +65,7 @@ class ControlContext:
 
         Those of floating bases, which have no drives, are zero.
         """
-        numbers, layout = np.zeros(self.data.model.layout.joints), self.data.model.layout
+        numbers, layout = np.zeros(self.data.model.layout.rate_count), self.data.model.layout
         for i, (name, arm) in enumerate(self.arms.items()):
             numbers[layout.tree_joints(i)] = gain_vector(values, name, arm.joint_names)
         return numbers

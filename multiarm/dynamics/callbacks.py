@@ -174,7 +174,7 @@ class PythonControl:
         """The callback that writes the torques."""
 
         def read(torques: object) -> np.ndarray:
-            stacked = np.zeros(layout.joints)
+            stacked = np.zeros(layout.rate_count)
             fill_by_arm(f"{self.who}'s torques", layout, stacked, torques, ControlError)
             return stacked
 

@@ -333,7 +333,7 @@ def free_components(data: Data, connection: str, start: State) -> tuple[int, ...
 def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
     record = model.records[constraint.row]
-    if constraint.arm != SURROUNDINGS or not isinstance(record, Contact):
+    if constraint.owner != SURROUNDINGS or not isinstance(record, Contact):
         return None
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:

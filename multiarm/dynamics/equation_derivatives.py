@@ -138,8 +138,8 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     work = EquationWork(
         placements=placements,
         first_owner=first_owner.astype(np.int64),
-        v=np.zeros(layout.joints),
-        a_j=np.zeros(layout.joints),
+        v=np.zeros(layout.rate_count),
+        a_j=np.zeros(layout.rate_count),
         force=np.zeros(N),
         K=np.zeros((n, d + m, d + m)),
         M=np.zeros((n, d, d)),

@@ -156,7 +156,7 @@ def _solve(
     free, f_o, c = b.forces.f_j.copy(), b.forces.f_o.copy(), b.rows.c.copy()
     require_ok(data, update_kinematics(data.struct))
     force = _contact_forces(data, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
-    a_j, torque = np.zeros(layout.joints), np.zeros(layout.joints)
+    a_j, torque = np.zeros(layout.rate_count), np.zeros(layout.rate_count)
     missed = _missed_by_the_object(data, c, desired)
     for i, name in enumerate(layout.names):
         d, r = layout.joints_of(i), layout.contacts_of_robot(i)

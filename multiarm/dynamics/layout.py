@@ -139,14 +139,14 @@ class Layout:
     # --- sizes ----------------------------------------------------------------------------------
 
     @property
-    def joints(self) -> int:
-        """Numbers of the joints of all robots, n: one a joint, and six a floating base."""
+    def rate_count(self) -> int:
+        """Numbers of joint velocities of all robots, n: one a joint, and six a floating base."""
         return self.first_joint[-1]
 
     @property
     def tree_joint_count(self) -> int:
         """Number of joints of all robots, without floating bases."""
-        return self.joints - TWIST * len(self.floating_robots)
+        return self.rate_count - TWIST * len(self.floating_robots)
 
     @property
     def contacts(self) -> int:
@@ -156,7 +156,7 @@ class Layout:
     @property
     def nq(self) -> int:
         """Numbers of a configuration, 7 F + 7 B + n."""
-        return self._first_position + self.joints
+        return self._first_position + self.rate_count
 
     @property
     def _first_position(self) -> int:
@@ -166,7 +166,7 @@ class Layout:
     @property
     def nv(self) -> int:
         """Numbers of a velocity, 6 F + n."""
-        return TWIST * self.frames + self.joints
+        return TWIST * self.frames + self.rate_count
 
     @property
     def surroundings(self) -> slice:
@@ -379,18 +379,18 @@ class Layout:
     @property
     def columns(self) -> dict[str, slice]:
         """Where the columns of derivatives by the state are."""
-        first = (0, *columns_of_state(self.nv, self.joints))
+        first = (0, *columns_of_state(self.nv, self.rate_count))
         pairs = zip(STATE, first[:-1], first[1:], strict=True)
         return {name: slice(begin, end) for name, begin, end in pairs}
 
     @property
     def displacement_columns(self) -> np.ndarray:
         """The columns of a displacement, in the order of a velocity, shape (6 F + n,)."""
-        columns = columns_of_state(self.nv, self.joints)
+        columns = columns_of_state(self.nv, self.rate_count)
         return np.array([column_of_displacement(columns, l) for l in range(self.nv)])
 
     @property
     def velocity_columns(self) -> np.ndarray:
         """The columns of a velocity, shape (6 F + n,)."""
-        columns = columns_of_state(self.nv, self.joints)
+        columns = columns_of_state(self.nv, self.rate_count)
         return np.array([column_of_velocity(columns, l) for l in range(self.nv)])

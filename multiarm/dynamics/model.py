@@ -200,7 +200,7 @@ class Model:
     @cached_property
     def position_limits(self) -> np.ndarray:
         """Ends of the range of every joint in the stacked vectors, shape (n, 2) [rad, m]."""
-        limits = np.full((self.layout.joints, 2), [-np.inf, np.inf])
+        limits = np.full((self.layout.rate_count, 2), [-np.inf, np.inf])
         for i, robot in enumerate(self.robots.values()):
             limits[self.layout.tree_joints(i)] = robot.position_limits
         return limits

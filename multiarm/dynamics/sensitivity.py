@@ -30,7 +30,7 @@ def columns_of(layout: Layout, states: int, parameters: bool) -> dict[str, slice
     ``states``: number of states of effects.
     """
     sizes = {name: part.stop - part.start for name, part in layout.columns.items()}
-    sizes |= dict(zip(INPUTS, (layout.joints, states), strict=True))
+    sizes |= dict(zip(INPUTS, (layout.rate_count, states), strict=True))
     if parameters:
         placements = 6 * len(layout.owners_of_robots)
         sizes |= dict(zip(PARAMETERS, (6, 1, 6, placements), strict=True))
@@ -42,7 +42,7 @@ def rows_of(layout: Layout, states: int) -> dict[str, slice]:
     return in_sequence(
         {
             "object_acceleration": 6 * layout.frames,
-            "joint_accelerations": layout.joints,
+            "joint_accelerations": layout.rate_count,
             "contact_forces": layout.contacts,
             "effect_state_rates": states,
         }

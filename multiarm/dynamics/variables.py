@@ -356,7 +356,7 @@ class Pointers(NamedTuple):
 def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
     """Allocate."""
     layout, states, pairs = sizes.layout, sizes.states, sizes.pairs
-    blocks, joints, owners = layout.block_count, layout.joints, len(layout.owners)
+    blocks, joints, owners = layout.block_count, layout.rate_count, len(layout.owners)
     columns = columns_of_forces(layout.nv, joints, states).end
     rows, motion = make_rows(layout, sizes.parts), motion_of_bodies(len(pointers.links))
     recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))

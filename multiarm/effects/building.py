@@ -79,7 +79,7 @@ class BuildContext:
 
         Those of floating bases have the default.
         """
-        numbers, layout = np.full(self.layout.joints, default), self.layout
+        numbers, layout = np.full(self.layout.rate_count, default), self.layout
         by_arm = joint_numbers(values, self.outlines, from_urdf, default).values()
         for i, of_arm in enumerate(by_arm):
             numbers[layout.tree_joints(i)] = of_arm

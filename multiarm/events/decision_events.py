@@ -75,7 +75,7 @@ def _event(
         float(t),
         kind,
         _verb(modes, constraint, kind),
-        constraint.arm,
+        constraint.owner,
         contact=name if is_contact else "",
         joint="" if is_contact else name,
         where=where,

@@ -135,7 +135,7 @@ def in_all_rows(modes: Modes, of_held_rows: Evaluation) -> Evaluation:
     words: dict[str, list[str]] = {}
     for constraint, contact_state in zip(unilateral.constraints, modes.mode.states, strict=True):
         if constraint.kind == CONTACT:
-            words.setdefault(constraint.arm, []).append(contact_state.word)
+            words.setdefault(constraint.owner, []).append(contact_state.word)
     of_joints = forces[list(unilateral.model)]
     return replace(
         of_held_rows,

@@ -148,7 +148,7 @@ class Modes:
         numbers = (self.watched[g].constraint for g in np.flatnonzero(self._violated))
         constraints = [self.unilateral.constraints[u] for u in dict.fromkeys(numbers)]
         return tuple(
-            self.full.model.joint_names[c.joint] if c.joint >= 0 else f"{c.arm}/{c.name}"
+            self.full.model.joint_names[c.joint] if c.joint >= 0 else f"{c.owner}/{c.name}"
             for c in constraints
         )
 

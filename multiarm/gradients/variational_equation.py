@@ -112,7 +112,7 @@ def state_matrices(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``B`` from the derivatives of the accelerations."""
     layout, rows, columns = derivatives.layout, derivatives.rows, derivatives.columns
     at, size = layout.columns, 2 * layout.nv
-    A, B = np.zeros((size, size)), np.zeros((size, layout.joints))
+    A, B = np.zeros((size, size)), np.zeros((size, layout.rate_count))
     A[layout.displacement_columns, layout.velocity_columns] = 1.0
     v = derivatives.evaluation.state.velocity
     for turn in layout.turns:

@@ -131,7 +131,7 @@ def make_block_matrices(data: Data, step: Step, equations: np.ndarray) -> BlockM
         for state, joint in enumerate(state_joints):
             states_by_block[layout.block_of_joint(joint)].append(state)
     e = max(map(len, states_by_block))
-    of_block, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.joints
+    of_block, rows, frames = 2 * d + e, d + m + e + works, layout.nv - layout.rate_count
     constants = data.model.constants
     distributes = len(constants.control) > 0 and constants.control_reach == CARRYING
     u, of_object = (2 if distributes else 1) * frames, 2 * frames + 1
@@ -166,9 +166,9 @@ def make_block_matrices(data: Data, step: Step, equations: np.ndarray) -> BlockM
         unknowns=np.zeros((n, d + e)),
     )
     at = derivative_columns(blocks)
-    of_forces = columns_of_forces(layout.nv, layout.joints, effects.states)
+    of_forces = columns_of_forces(layout.nv, layout.rate_count, effects.states)
     for i, states in enumerate(states_by_block):
-        joints, columns = np.arange(layout.joints)[layout.joints_of_block(i)], blocks.sources[i]
+        joints, columns = np.arange(layout.rate_count)[layout.joints_of_block(i)], blocks.sources[i]
         blocks.states[i, : len(states)] = states
         columns[: joints.size] = of_forces.positions + joints
         columns[at.rates : at.rates + joints.size] = of_forces.rates + joints

@@ -156,7 +156,7 @@ def make_step(
     tableau: Tableau, layout: Layout, system: np.ndarray, states: int = 0, works: int = 1
 ) -> Step:
     """Allocate for a method and a system, its struct, its number of effects' states and works."""
-    size = places_in_chart(layout.nv, layout.joints, states).works + works
+    size = places_in_chart(layout.nv, layout.rate_count, states).works + works
     slopes = max(len(tableau.b) + 1, len(tableau.A))
     base, stage = np.zeros(layout.nq), Stage()
     layout.poses(base)[:, 6] = layout.base_poses(base)[:, 6] = 1.0  # upright

@@ -150,7 +150,7 @@ def find_equilibrium(
     """
     system = require_system(system, "ma.find_equilibrium(system, state, torques)")
     if torques is not None:
-        held = np.zeros(system.model.layout.joints)
+        held = np.zeros(system.model.layout.rate_count)
         fill_by_arm("torques", system.model.layout, held, torques, ModelError)
         by_arm = system.model.layout.split_joints(held)
         system = system.with_control(lambda t, state: by_arm)

@@ -250,7 +250,7 @@ def linearise(
     system = require_system(system, "ma.linearise(system, t, state)")
     D = derivatives(system, t, state, closed_loop=closed_loop)
     at, layout = minimal_coordinates(D.motions), D.layout
-    size, n, e = layout.nv, layout.joints, len(D.effect_state_rates.matrix)
+    size, n, e = layout.nv, layout.rate_count, len(D.effect_state_rates.matrix)
     p, m = len(at.positions), len(at.velocities)
     by_y, by_torques = _by_coordinates(D, at)
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])

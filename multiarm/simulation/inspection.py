@@ -287,12 +287,12 @@ def count_freedom(data: Data) -> Freedom:
 
 
 def coming_and_going(system: System) -> list[str]:
-    """The unilateral constraints of a system, counted by arm and kind."""
+    """The unilateral constraints of a system, counted by owner and kind."""
     if system.model.unilateral is None:
         return []
     constraints = system.model.unilateral.constraints
-    counts = Counter((constraint.arm, _constraint_words(constraint)) for constraint in constraints)
-    lines = [f"{arm}: {words} ({count})" for (arm, words), count in counts.items()]
+    counts = Counter((one.owner, _constraint_words(one)) for one in constraints)
+    lines = [f"{owner}: {words} ({count})" for (owner, words), count in counts.items()]
     springs = system.model.unilateral.compliant
     soft = 0 if springs is None else len(springs.rows)
     return lines + ([f"springs in place of contacts ({soft})"] if soft else [])

@@ -102,7 +102,7 @@ class Stepper:
         self._records = record
         self._layout, self._channels = system.model.layout, held.channels
         self._places: dict[str, dict[str, slice]] = {}  # quantity -> arm -> columns of samples
-        self._torques = np.zeros(self._layout.joints)
+        self._torques = np.zeros(self._layout.rate_count)
         self.reset()
 
     __dir__ = public_names

@@ -88,12 +88,12 @@ class MujocoPeer(Peer):
             raise ModelError(f"MuJoCo refuses the model: {reason}") from error
         if self.hardened:
             self.model.body_invweight0[:] *= HARDNESS
-        self.model.dof_damping[: system.model.layout.joints] = self.damping
+        self.model.dof_damping[: system.model.layout.rate_count] = self.damping
         self.data = mujoco.MjData(self.model)
 
     def place(self, state: State) -> None:
         """Write a state; the object's angular velocity goes to its own axes."""
-        d, n = self.data, self.system.model.layout.joints
+        d, n = self.data, self.system.model.layout.rate_count
         mujoco.mj_resetData(self.model, d)
         d.qpos[:n] = state.layout.joint_positions(state.position)
         d.qpos[n : n + 3] = state.object_position
@@ -104,7 +104,7 @@ class MujocoPeer(Peer):
 
     def state(self) -> State:
         """The state as it is now."""
-        d, n = self.data, self.system.model.layout.joints
+        d, n = self.data, self.system.model.layout.rate_count
         position = [d.qpos[n : n + 3], np.roll(d.qpos[n + 3 :], -1), d.qpos[:n]]
         velocity = [d.qvel[n : n + 3], self._rotation() @ d.qvel[n + 3 :], d.qvel[:n]]
         return State(np.concatenate(position), np.concatenate(velocity), self.system.model.layout)
@@ -114,7 +114,7 @@ class MujocoPeer(Peer):
     ) -> Iterator[Sample]:
         """Step from output to output (:meth:`.peers.Peer.follow`)."""
         kind, stages = _INTEGRATORS[method]
-        d, n, count = self.data, self.system.model.layout.joints, grid.steps(value)
+        d, n, count = self.data, self.system.model.layout.rate_count, grid.steps(value)
         self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)
         yield Sample(0.0, start)

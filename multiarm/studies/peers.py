@@ -265,7 +265,7 @@ def moments(inertia: np.ndarray) -> list[float]:
 
 def sinusoid(system: System) -> Sinusoid | None:
     """The torques of a scene whose control looks at the clock only; None where it looks at more."""
-    n = system.model.layout.joints
+    n = system.model.layout.rate_count
     if not is_controlled(system):
         return Sinusoid.none(n)
     laws, sampled = system.model.laws, system.model.sampling is not None
@@ -278,7 +278,7 @@ def sinusoid(system: System) -> Sinusoid | None:
 def control_torque(system: System, t: float, state: State) -> np.ndarray:
     """Torques of the scene's control at time ``t``, shape (n,), without damping."""
     if not is_controlled(system):
-        return np.zeros(system.model.layout.joints)
+        return np.zeros(system.model.layout.rate_count)
     with system.borrow() as data:
         data.set_state(t, state)
         evaluate_state(data.struct, 0.0, 0.0)  # torques are there whatever the solver says
@@ -304,4 +304,4 @@ def joint_damping(system: System) -> np.ndarray:
     for kernel in system.model.effects.kernels:
         if isinstance(kernel.arrays, JointDamping):
             return kernel.arrays.coefficients.copy()
-    return np.zeros(system.model.layout.joints)
+    return np.zeros(system.model.layout.rate_count)

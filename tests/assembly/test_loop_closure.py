@@ -69,7 +69,7 @@ def planar_arm(posture, **more):
 
 def perturbed(system, size, rng):
     state = system.initial_state()
-    state.position[7:] += size * rng.standard_normal(system.model.layout.joints)
+    state.position[7:] += size * rng.standard_normal(system.model.layout.rate_count)
     return state
 
 
@@ -96,7 +96,7 @@ def plain_rows(system, state):
             first_difference(
                 lambda h, e=e: plain_gaps(system, displaced(system, state, h * e)), 1e-2
             )
-            for e in np.eye(6 + system.model.layout.joints)
+            for e in np.eye(6 + system.model.layout.rate_count)
         ]
     )
 
@@ -104,7 +104,7 @@ def plain_rows(system, state):
 def plain_inertia(system, state):
     """Inertia of object and arms (6 + n, 6 + n), world axes."""
     R = Rotation.from_quat(state.position[3:7]).as_matrix()
-    M = np.zeros((6 + system.model.layout.joints,) * 2)
+    M = np.zeros((6 + system.model.layout.rate_count,) * 2)
     M[:3, :3] = system.scene.object.mass * np.eye(3)
     M[3:6, 3:6] = R @ system.scene.object.inertia_matrix() @ R.T
     at = 6

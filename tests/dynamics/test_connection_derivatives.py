@@ -32,7 +32,7 @@ CONNECTIONS = {
 
 def moved(state, column: int, amount: float):
     """The state displaced along one column of the derivatives."""
-    displaced, n = state.copy(), state.layout.joints
+    displaced, n = state.copy(), state.layout.rate_count
     if 3 <= column < 6:
         turn = amount * np.eye(3)[column - 3]
         displaced.position[3:7] = retract(state.position[3:7], turn)
@@ -61,7 +61,7 @@ def test_derivatives_of_connections_are_those_of_differences(case, tmp_path, rng
     state = random_state(system, rng, turn=0.5, speed=0.5)
     derivatives = ma.derivatives(system, 0.0, state)
     assert derivatives.message == ""
-    columns = range(12 + 2 * state.layout.joints)
+    columns = range(12 + 2 * state.layout.rate_count)
     expected = np.transpose(
         [difference(lambda h, c=c: unknowns(system, moved(state, c, h))) for c in columns]
     )
@@ -102,7 +102,7 @@ def test_derivatives_of_steps_are_those_of_differences(case, gains, tmp_path, rn
     """Of a step robot by robot, and of one with a matrix for the whole system."""
     system = tree_system(tmp_path, rng, *CONNECTIONS[case])
     state = random_state(system, rng, turn=0.3, speed=0.5)
-    nv, exact = 6 + system.model.layout.joints, Slope(system, state, *gains)
+    nv, exact = 6 + system.model.layout.rate_count, Slope(system, state, *gains)
     steps = [step_of_the_package(s, state, 1e-3, *gains) for s in (system, coupled(system))]
     assert [bool(step.work[0].derived.block_by_block) for step in steps] == [True, False]
     J = exact.jacobian(steps[0].step.tolerance.size, 3e-3)[nv:]

@@ -128,7 +128,7 @@ def test_columns_of_the_state_have_every_displacement_and_velocity_once(layout):
     both = np.concatenate([layout.displacement_columns, layout.velocity_columns])
     assert np.array_equal(np.sort(both), np.arange(2 * layout.nv))
     of_kernels = equation_columns(random_data(layout, np.random.default_rng(3)))
-    forces = [2 * layout.nv, 2 * layout.nv + layout.joints, 3 * layout.nv]
+    forces = [2 * layout.nv, 2 * layout.nv + layout.rate_count, 3 * layout.nv]
     assert list(of_kernels) == [*[columns[name].start for name in STATE[1:]], *forces]
 
 

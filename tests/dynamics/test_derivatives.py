@@ -55,7 +55,7 @@ FEET = [[0.3, 0.2, -0.2], [-0.3, 0.2, -0.2], [0.0, -0.2, -0.2]]
 
 def moved(state, column: int, amount: float):
     """The state displaced along one column of the derivatives."""
-    other, n = state.copy(), state.layout.joints
+    other, n = state.copy(), state.layout.rate_count
     if 3 <= column < 6:
         turn = amount * np.eye(3)[column - 3]
         other.position[3:7] = retract(state.position[3:7], turn)
@@ -80,7 +80,7 @@ def answers(system, state, t=0.3):
 
 def by_differences(system, state):
     """Derivatives of the answers by the state."""
-    columns = range(12 + 2 * state.layout.joints)
+    columns = range(12 + 2 * state.layout.rate_count)
     found = [difference(lambda h, c=c: answers(system, moved(state, c, h))) for c in columns]
     return np.array(found).T
 
@@ -202,7 +202,7 @@ def test_laws_that_move_the_object_have_the_derivatives_of_differences(name, rng
     )
     assert_equal(by_law, by_differences, 2e-9)
     assert np.abs(by_law).max() > 1.0
-    n = state.layout.joints
+    n = state.layout.rate_count
     assert np.abs(by_law[6:, 12 + n :]).max() > 1.0  # by velocities
 
 
@@ -368,7 +368,7 @@ def test_torques_move_every_arm():
             torque = {arm: np.eye(6)[joint]}
             pushed = system.with_control(lambda t, s, torque=torque: torque)
             change = answers(pushed, state) - answers(system, state)
-            n = system.model.layout.joints
+            n = system.model.layout.rate_count
             column = 12 + 2 * n + 6 * system.arm_names.index(arm) + joint
             np.testing.assert_allclose(found.matrix[:, column], change, atol=1e-9)
     block = found.joint_accelerations["left"].d_torques["right"]
@@ -487,7 +487,7 @@ def test_derivatives_are_those_of_pinocchio(kind):
             difference(lambda h, e=e: accelerations(pin.integrate(model, q, h * e))) for e in axes
         ]
         by_q = np.array(along).T
-    n = state.layout.joints
+    n = state.layout.rate_count
     joints = ma.derivatives(system, 0.0, state).matrix[6 : 6 + n]
     assert_equal(joints[:, 12 + 2 * n :], by_torque[:n, :n], 1e-9)
     of_object = np.kron(np.eye(2), R) @ closing[n:]  # in world axes
@@ -526,7 +526,7 @@ def test_dependent_constraints_are_differentiated_along_the_joints(kind, moving,
     assert np.all(np.isfinite(found.matrix[unique])) and np.all(np.isnan(found.matrix[~unique]))
     tangents, seen = [], 0.0
     for _ in range(12):
-        direction = rng.standard_normal(12 + 2 * state.layout.joints)
+        direction = rng.standard_normal(12 + 2 * state.layout.rate_count)
 
         def along(h, direction=direction):
             other = state
@@ -639,7 +639,7 @@ def test_sliding_contacts_are_differentiated_with_their_friction(seed):
             motion = [ev.object_acceleration, *ev.joint_accelerations.values()]
             return np.concatenate([*motion, *ev.contact_forces.values()])
 
-        columns = range(12 + 2 * state.layout.joints)
+        columns = range(12 + 2 * state.layout.rate_count)
         expected = np.array([difference(lambda h, c=c: along(c, h)) for c in columns]).T
     assert_equal(found.matrix[:, : len(columns)], expected)
 

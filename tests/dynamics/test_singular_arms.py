@@ -399,7 +399,7 @@ def test_accelerations_do_not_jump_where_the_solver_changes_its_path(leaning):
         # parabola through k = 0.1, 1.1, 2.1 at 0
         values = np.array([np.concatenate(of_evaluation(one)) for one in near])
         sides.append(np.array([1.155, -0.21, 0.055]) @ values)
-    n = leaning.model.layout.joints + 6
+    n = leaning.model.layout.rate_count + 6
     assert relative(sides[0][:n], sides[1][:n]) < 1e-8
     assert relative(sides[0][n:], sides[1][n:]) < 1e-8
 

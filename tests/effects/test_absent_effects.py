@@ -89,7 +89,7 @@ def test_an_effect_has_its_arrays_and_no_other_one_has():
     assert array_count(system) == EFFECTS + 2
     assert (
         data_of(system).effect("joint_damping").coefficients.tolist()
-        == [1.0] * system.model.layout.joints
+        == [1.0] * system.model.layout.rate_count
     )
 
 

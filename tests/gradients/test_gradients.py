@@ -369,7 +369,7 @@ def test_sensitivities_by_numbers_of_the_scene_are_differences_of_runs(name, pat
 
 
 def slope_of(function, state):
-    axes = np.eye(12 + 2 * state.layout.joints)
+    axes = np.eye(12 + 2 * state.layout.rate_count)
     return np.array(
         [difference(lambda h, e=e: function(0.5, displaced(state, h * e))) for e in axes]
     )
@@ -599,7 +599,7 @@ def test_a_scalar_may_bring_its_own_derivatives():
         return float(state.object_twist @ state.object_twist)
 
     def with_slope(t, state):
-        slope = np.zeros(12 + 2 * state.layout.joints)
+        slope = np.zeros(12 + 2 * state.layout.rate_count)
         slope[6:12] = 2.0 * state.object_twist
         return speed(t, state), slope
 

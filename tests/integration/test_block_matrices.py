@@ -116,7 +116,7 @@ def test_derivatives_arm_by_arm_are_those_of_whole_evaluations(name, tmp_path, r
     """Of accelerations, drives' torques and powers, by all of the state and by the time."""
     system = SCENES[name](tmp_path)
     state = random_state(system, rng, turn=0.05, speed=1.0)
-    n, exact = 6 + system.model.layout.joints, Slope(system, state)
+    n, exact = 6 + system.model.layout.rate_count, Slope(system, state)
     own, plain, whole = (
         step_of_the_package(s, state, 1e-3)
         for s in (system, without_derivatives(system), coupled(system))
@@ -141,7 +141,7 @@ def test_derivatives_know_the_feedback_on_the_drift(name, tmp_path, rng):
     """Of gaps and their rates, with gains that are far larger than all else."""
     system, alpha, beta = SCENES[name](tmp_path), 300.0, 500.0
     state = random_state(system, rng, turn=0.05, speed=1.0)
-    n, exact = 6 + system.model.layout.joints, Slope(system, state, alpha, beta)
+    n, exact = 6 + system.model.layout.rate_count, Slope(system, state, alpha, beta)
     own = step_of_the_package(system, state, 1e-3, alpha, beta)
     assert used(own)
     found = np.hstack(derivatives_of(system, own))  # the next step has the same arrays
@@ -174,7 +174,7 @@ def test_drives_near_their_limits_carry_as_much_as_those_far_from_them(tmp_path,
     torques = ma.evaluate(free, 0.0, state).joint_torques
     limits = {arm: (np.abs(own) + 0.01).tolist() for arm, own in torques.items()}
     near = three_arms(tmp_path, carrying, torque_limits=limits)
-    n = 6 + free.model.layout.joints
+    n = 6 + free.model.layout.rate_count
     found, expected = (
         np.hstack(derivatives_of(system, step_of_the_package(system, state, 1e-3)))[:n]
         for system in (near, free)

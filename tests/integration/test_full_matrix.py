@@ -142,7 +142,7 @@ def test_derivatives_in_the_full_matrix_are_those_of_whole_evaluations(name, tmp
     assert exact.data.arrays.solution.motion_unique == (not name.startswith("spinning"))
     stepping = step_of_the_package(system, state, 1e-3, alpha, beta)
     assert not stepping.work[0].derived.block_by_block
-    n = 6 + system.model.layout.joints
+    n = 6 + system.model.layout.rate_count
     J = exact.jacobian(stepping.step.tolerance.size)[n:]
     by_time = first_difference(lambda s: exact(s, exact.z), 1e-3)
     bound = FORWARD if name.endswith("Python") else 10.0 * ORDER_8
@@ -159,7 +159,7 @@ def test_derivatives_of_dependent_constraints_are_those_of_their_rank(name):
     """
     displacement, roundings = 1e-7, 1e-4
     system = ma.compile_system(HARD_CASES[name].scene())
-    n = 6 + system.model.layout.joints
+    n = 6 + system.model.layout.rate_count
     run = ma.simulate(system, 0.3, integrator="dop853", tolerance=1e-11, output_step=0.1)
     for k in range(4):
         state = state_of(system, run, k)

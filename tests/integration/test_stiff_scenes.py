@@ -67,7 +67,7 @@ class Textbook:
 
     def __init__(self, system, start):
         self.system, self.start = system, start
-        self.n = 6 + system.model.layout.joints
+        self.n = 6 + system.model.layout.rate_count
         self.damping = system.scene.effects.joint_damping or 0.0
         v, works = start.velocity, np.zeros(2 if self.damping else 1)
         self.z = np.concatenate([start.object_position, np.zeros(3), start.position[7:], v, works])

@@ -328,8 +328,8 @@ def test_works_of_effects_are_no_unknowns_of_a_step(ur5_system):
     assert len(system.model.effects.works) == 2
     step = make_stepping(data_of(system), METHODS["variational"]).work[0]
     for unknowns in (step.xi, step.start, step.push, step.momentum):
-        assert unknowns.size == 6 + system.model.layout.joints
-    assert step.last.shape == (2, 6 + system.model.layout.joints + system.model.layout.contacts)
+        assert unknowns.size == 6 + system.model.layout.rate_count
+    assert step.last.shape == (2, 6 + system.model.layout.rate_count + system.model.layout.contacts)
 
 
 @pytest.mark.slow

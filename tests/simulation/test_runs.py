@@ -96,7 +96,7 @@ def test_harmonic_run_equals_scipys_dop853_on_the_evaluation():
 
     def state_of(y):
         turn = Rotation.from_quat(y[3:7] / np.linalg.norm(y[3:7]))
-        n = system.model.layout.joints
+        n = system.model.layout.rate_count
         split = system.model.layout.split_joints
         return system.state(
             y[:3], turn.as_quat(), split(y[7 : 7 + n]), y[7 + n : 13 + n], split(y[13 + n :]),

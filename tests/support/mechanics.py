@@ -401,7 +401,7 @@ def plain_system(system, state, torque=None):
     """
     names, scene = system.arm_names, system.scene
     gravity = np.array(scene.gravity or (0.0, 0.0, 0.0))
-    size = 6 + system.model.layout.joints
+    size = 6 + system.model.layout.rate_count
     M, h = np.zeros((size, size)), np.zeros(size)
     R = Rotation.from_quat(state.object_quaternion_xyzw).as_matrix()
     omega, inertia = state.object_twist[3:], R @ scene.object.inertia_matrix() @ R.T

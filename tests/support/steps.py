@@ -116,7 +116,7 @@ def derivatives_of(system, stepping):
     if not work.derived.block_by_block:
         return full.by_position, full.by_velocity
     layout, works = system.model.layout, stepping.step.z.size - stepping.step.tolerance.size
-    n, size = 6 + layout.joints, stepping.step.tolerance.size
+    n, size = 6 + layout.rate_count, stepping.step.tolerance.size
     d, m, e = blocks.d, blocks.m, blocks.e
     found, own, own_columns = np.zeros((size + works, size)), 2 * d + e, []
     u, of_object = blocks.couplings, [*range(6), *range(n, n + 6)]
