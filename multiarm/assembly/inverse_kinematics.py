@@ -38,7 +38,7 @@ from multiarm.assembly.reaching import (
 from multiarm.jit.rows import fields_of
 from multiarm.robots.chain import ChainJoint, require_chain
 from multiarm.robots.robot import Robot
-from multiarm.robots.terms import POSE_WIDTH, ArmStructure, LinkPose
+from multiarm.robots.terms import POSE_WIDTH, LinkPose, TreeStructure
 from multiarm.scene import Pose
 from multiarm.spatial import difference, matrix_to_quaternion
 
@@ -107,7 +107,7 @@ class TreeKinematics:
 
     Parameters
     ----------
-    structure : ArmStructure
+    structure : TreeStructure
     targets : sequence of Target
     ranges : Ranges
         Of all joints.
@@ -127,7 +127,7 @@ class TreeKinematics:
 
     def __init__(
         self,
-        structure: ArmStructure,
+        structure: TreeStructure,
         targets: Sequence[Target],
         ranges: Ranges,
         couplings: Sequence[Coupling] = (),
@@ -401,11 +401,11 @@ class InverseKinematics(TreeKinematics):
 
 
 def _on_joints(
-    arm: ArmStructure, slides: list[bool], axes: list[np.ndarray], frames: np.ndarray
-) -> ArmStructure:
+    arm: TreeStructure, slides: list[bool], axes: list[np.ndarray], frames: np.ndarray
+) -> TreeStructure:
     """An arm on massless joints below it; ``frames`` (k + 1, 4, 4) are theirs and its own first."""
-    still = ArmStructure(*(np.zeros((len(axes), *part.shape[1:])) for part in arm))
-    both = ArmStructure(*map(np.concatenate, zip(still, arm, strict=True)))
+    still = TreeStructure(*(np.zeros((len(axes), *part.shape[1:])) for part in arm))
+    both = TreeStructure(*map(np.concatenate, zip(still, arm, strict=True)))
     return both._replace(
         parents=np.arange(-1, both.masses.size - 1),
         slides=np.append(slides, arm.slides),

@@ -20,7 +20,7 @@ import numpy as np
 from multiarm.assembly.reaching import Tree
 from multiarm.jit.rows import fields_of
 from multiarm.robots.chain import ChainJoint, chain_joints, joints_at_rest
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 # Joints without limits are sought within a turn either way, all others this far inside them [rad].
 TURN, MARGIN = math.pi, 0.05
@@ -148,7 +148,7 @@ class Ranges:
 
 
 def kinematic_tree(
-    structure: ArmStructure, targets: Sequence[Target], couplings: Sequence[Coupling] = ()
+    structure: TreeStructure, targets: Sequence[Target], couplings: Sequence[Coupling] = ()
 ) -> Tree:
     """The arrays of the kernel; frames of targets at rest are at the world's origin."""
     frames: list[LinkFrame] = []

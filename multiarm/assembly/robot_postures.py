@@ -33,7 +33,7 @@ from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target
 from multiarm.assembly.reaching import REACHED
 from multiarm.geometry.records import basis
 from multiarm.robots.robot import Robot
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.scene.faults import counted, shown
@@ -50,7 +50,7 @@ class RobotPostureSearch:
 
     Attributes
     ----------
-    structure : ArmStructure
+    structure : TreeStructure
         Joints that move the base first.
     targets : mapping connection -> Target
         Both frames of each; those at rest, such as a place on the object, are on joint -1.
@@ -67,7 +67,7 @@ class RobotPostureSearch:
         Joints that follow others.
     """
 
-    structure: ArmStructure
+    structure: TreeStructure
     targets: Mapping[str, Target]
     limits: np.ndarray
     written: np.ndarray

@@ -65,16 +65,16 @@ from multiarm.robots.chain import ChainJoint
 from multiarm.robots.derivatives import (
     DISPLACEMENT_WIDTH,
     LINK_WIDTH,
-    ArmLinks,
-    arm_links,
+    TreeLinks,
     subtract_load,
     subtract_torques,
+    tree_links,
     write_inverse_dynamics,
     write_link,
     write_motions,
 )
 from multiarm.robots.robot import Robot
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 
 class EquationWork(NamedTuple):
@@ -125,8 +125,8 @@ MOMENT, TURN, SPIN = 3, 3, TWIST + 3
 # A twist and an acceleration.
 AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-open_links = view(ArmLinks)
-open_equations = view(EquationWork, len(ArmLinks._fields))
+open_links = view(TreeLinks)
+open_equations = view(EquationWork, len(TreeLinks._fields))
 
 
 def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
@@ -169,7 +169,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     return work
 
 
-def structures_of_blocks(arms: Iterable[Robot], layout: Layout) -> list[ArmStructure]:
+def structures_of_blocks(arms: Iterable[Robot], layout: Layout) -> list[TreeStructure]:
     """Structure of the joints of each block of the robots."""
     of_robots = [arm.structure() for arm in arms]
     places, counts = layout.places_of_blocks, layout.joint_counts
@@ -191,7 +191,7 @@ def equation_work(
     if key not in data.cache:
         require_no_floating_base(data.model, "there are no derivatives by its pose yet")
         structures = structures_of_blocks(data.model.robots.values(), data.model.layout)
-        links = arm_links(structures, data.model.constants.gravity)
+        links = tree_links(structures, data.model.constants.gravity)
         if not (masses and weights):
             links = links._replace(gravity=np.zeros(3))
         if not masses:

@@ -52,7 +52,7 @@ from multiarm.dynamics.status import CALLBACK_FAILED, NOT_FINITE, OBJECT_INERTIA
 from multiarm.jit.kernels import INTS, NUMBER, cfunc, clear, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import floats_at, referenced, struct_at
-from multiarm.robots.compiled.tables import energy_of_arms
+from multiarm.robots.compiled.tables import energy_of_robots
 from multiarm.robots.terms import open_addresses
 
 
@@ -425,9 +425,9 @@ def potential_energy(struct: INTS):
     functions, energy = data.functions, 0.0
     for k in range(3):
         energy -= model.object_mass * model.gravity[k] * data.state.object_pose[k]
-    if functions.arms != 0:
-        arms = struct_at(functions.arms_struct, functions.arms_size)
-        energy += energy_of_arms(arms)
+    if functions.robots != 0:
+        arms = struct_at(functions.robots_struct, functions.robots_size)
+        energy += energy_of_robots(arms)
     if functions.pinocchio_energy != 0:
         call_python(functions.pinocchio_energy)
         energy += data.status.potential_energy

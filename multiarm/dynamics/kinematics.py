@@ -107,9 +107,9 @@ def turn_base_terms(b, model, data, work):
 def arm_terms(model, data, work):
     """All terms of the robots, and the motion of the links that carry their tips."""
     functions = data.functions
-    if functions.arms != 0:
-        arms = struct_at(functions.arms_struct, functions.arms_size)
-        call_cfunc(functions.arms, arms, 0.0, 0.0)
+    if functions.robots != 0:
+        arms = struct_at(functions.robots_struct, functions.robots_size)
+        call_cfunc(functions.robots, arms, 0.0, 0.0)
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)

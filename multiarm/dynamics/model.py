@@ -122,7 +122,7 @@ class Model:
     @property
     def calls_python(self) -> bool:
         """Whether evaluations or samples call Python, which runs one thread at a time."""
-        pinocchio = any(backend == "pinocchio" for backend in self.backends.by_arm.values())
+        pinocchio = any(backend == "pinocchio" for backend in self.backends.by_robot.values())
         user = self.calls_user or self.python_control is not None
         return bool(user or self.surfaces or self.constants.dense or pinocchio)
 

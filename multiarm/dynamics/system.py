@@ -273,7 +273,7 @@ class System:
     @property
     def arm_terms(self) -> dict[str, str]:
         """Backend of each arm's terms: ``"compiled"`` code or ``"pinocchio"``."""
-        return self.model.backends.by_arm
+        return self.model.backends.by_robot
 
     @property
     def not_compiled(self) -> dict[str, str]:

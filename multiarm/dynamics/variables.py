@@ -282,9 +282,9 @@ class Functions(Numbers):
     accept: Int  # ... after which the next step begins there
     reports: Int  # the check of the guards that only report, where there are any
     watch: Int  # what all guards see of a stage, where there are any
-    arms: Int  # terms of compiled arms, with address and size of their struct
-    arms_struct: Int
-    arms_size: Int
+    robots: Int  # terms of compiled robots, with address and size of their struct
+    robots_struct: Int
+    robots_size: Int
     # Python
     pinocchio: Int  # terms of its arms
     pinocchio_energy: Int

@@ -253,7 +253,7 @@ def midpoint_forces(step, work, h):
     if calls.callback != 0:
         call_python(calls.callback)
     if calls.compiled != 0:
-        call_cfunc(calls.compiled, struct_at(calls.arms_struct, calls.arms_size), 0.0, 0.0)
+        call_cfunc(calls.compiled, struct_at(calls.robots_struct, calls.robots_size), 0.0, 0.0)
     if data.status.failed:
         return CALLBACK_FAILED
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)

@@ -29,7 +29,7 @@ momentum p, first moment h and second moments I about the base,
     2 B m = \begin{bmatrix} 2\,\omega_m\times p\\ G\,\omega_m\end{bmatrix}, \qquad
     G = [\omega] I + ([\omega] I)^T - [I \omega] - 2\,v h^T + 2\,(h\cdot v)\,1 .
 
-The same functions serve numbers, and packs of four arms (:mod:`multiarm.jit.simd`).
+The same functions serve numbers, and packs of four robots (:mod:`multiarm.jit.simd`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from multiarm.jit.vectors import (
     sub_scaled,
     times,
 )
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 
 class ChainJoint(NamedTuple):
@@ -78,33 +78,33 @@ class ChainJoint(NamedTuple):
 JOINT_WIDTH = width(ChainJoint)
 
 
-def chain_joints(arm: ArmStructure) -> np.ndarray:
-    """The joints of an arm, shape (n, 34); their parents are ``arm.parents``."""
-    rows, turns = [], [_turned_to_z(axis) for axis in arm.axes]
-    for k, (parent, turned) in enumerate(zip(arm.parents, turns, strict=True)):
-        inertia = turned.T @ arm.inertias[k] @ turned
+def chain_joints(robot: TreeStructure) -> np.ndarray:
+    """The joints of a robot, shape (n, 34); their parents are ``robot.parents``."""
+    rows, turns = [], [_turned_to_z(axis) for axis in robot.axes]
+    for k, (parent, turned) in enumerate(zip(robot.parents, turns, strict=True)):
+        inertia = turned.T @ robot.inertias[k] @ turned
         if parent < 0:
-            in_parent, offset = np.eye(3), arm.translations[k] - arm.translations[0]
+            in_parent, offset = np.eye(3), robot.translations[k] - robot.translations[0]
         else:
             in_parent = turns[parent].T
-            offset = in_parent @ arm.translations[k]
+            offset = in_parent @ robot.translations[k]
         joint = ChainJoint(
-            axes=in_parent @ arm.rotations[k] @ turned,
+            axes=in_parent @ robot.rotations[k] @ turned,
             offset=offset,
-            centre=turned.T @ arm.centres[k],
-            mass=arm.masses[k],
+            centre=turned.T @ robot.centres[k],
+            mass=robot.masses[k],
             inertia=inertia[np.triu_indices(3)],
-            turns=not arm.slides[k],
-            slides=arm.slides[k],
-            armature=arm.armature[k],
+            turns=not robot.slides[k],
+            slides=robot.slides[k],
+            armature=robot.armature[k],
             link_axes=turned.T,
         )
         rows.append(as_row(joint))
     return np.array(rows)
 
 
-def require_chain(arm: ArmStructure, tip_joint: int) -> ArmStructure:
-    """The arm, where its joints are a chain and the last one carries the tip.
+def require_chain(robot: TreeStructure, tip_joint: int) -> TreeStructure:
+    """The robot, where its joints are a chain and the last one carries the tip.
 
     ``tip_joint`` is Pinocchio's number of the joint that carries the tip.
 
@@ -113,12 +113,12 @@ def require_chain(arm: ArmStructure, tip_joint: int) -> ArmStructure:
     ModelError
         When it has branches, or joints after the tip.
     """
-    joints = arm.parents.size
-    if not np.array_equal(arm.parents, np.arange(-1, joints - 1)):
+    joints = robot.parents.size
+    if not np.array_equal(robot.parents, np.arange(-1, joints - 1)):
         raise ModelError("it has branches")
     if tip_joint != joints:
         raise ModelError("joints follow after its tip")
-    return arm
+    return robot
 
 
 def joints_at_rest(count: int) -> np.ndarray:

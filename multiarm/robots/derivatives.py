@@ -1,6 +1,6 @@
-r"""Derivatives of arms: of the motion of their links, of the inverse dynamics.
+r"""Derivatives of robots: of the motion of their links, of the inverse dynamics.
 
-An arm is a tree of rigid bodies with the equations of :mod:`multiarm.robots.chain`;
+A robot is a tree of rigid bodies with the equations of :mod:`multiarm.robots.chain`;
 :math:`\times^*` is the product of a twist and a wrench.  Outwards, with the base accelerated by
 minus gravity, and with p the parent of joint j,
 
@@ -83,7 +83,7 @@ from multiarm.robots.chain import (
     twist_product,
     write_motion,
 )
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 
 class Displacement(NamedTuple):
@@ -121,15 +121,15 @@ open_displacement, open_joint = row_of(Displacement), row_of(ChainJoint)
 open_link = row_of(Link)
 
 
-class ArmLinks(NamedTuple):
-    """Joints and links of all arms.
+class TreeLinks(NamedTuple):
+    """Joints and links of all robots.
 
     Attributes
     ----------
     first : int64 ndarray, shape (n + 1,)
-        First joint of each arm.
+        First joint of each robot.
     parents : int64 ndarray, shape (joints,)
-        As in :class:`multiarm.robots.terms.ArmStructure`, counted from the arm's first joint.
+        As in :class:`multiarm.robots.terms.TreeStructure`, counted from the robot's first joint.
     joints : ndarray, shape (joints, 34)
         Every :class:`multiarm.robots.chain.ChainJoint`.
     bases : ndarray, shape (n, 3)
@@ -144,28 +144,28 @@ class ArmLinks(NamedTuple):
     gravity: Floats1
 
 
-def arm_links(arms: Sequence[ArmStructure], gravity: np.ndarray) -> ArmLinks:
-    """The joints and links of some arms."""
-    return ArmLinks(
-        np.cumsum([0, *(arm.parents.size for arm in arms)]).astype(np.int64),
-        np.concatenate([arm.parents for arm in arms]),
-        np.concatenate([chain_joints(arm) for arm in arms]),
-        np.array([arm.translations[0] for arm in arms]),
+def tree_links(robots: Sequence[TreeStructure], gravity: np.ndarray) -> TreeLinks:
+    """The joints and links of some robots."""
+    return TreeLinks(
+        np.cumsum([0, *(robot.parents.size for robot in robots)]).astype(np.int64),
+        np.concatenate([robot.parents for robot in robots]),
+        np.concatenate([chain_joints(robot) for robot in robots]),
+        np.array([robot.translations[0] for robot in robots]),
         np.array(gravity, dtype=float),
     )
 
 
 @kernel
 def write_motions(links, i, angles, rates, accelerations, scratch):
-    """Write the motions of an arm's links.
+    """Write the motions of a robot's links.
 
     Parameters
     ----------
-    links : view of ArmLinks
+    links : view of TreeLinks
     i : int
-        Number of the arm.
+        Number of the robot.
     angles, rates, accelerations : (joints,)
-        Of all arms.
+        Of all robots.
     scratch : (n_i, 79), written
         Every :class:`Link`.
     """
@@ -199,7 +199,7 @@ def write_motions(links, i, angles, rates, accelerations, scratch):
 
 @kernel
 def write_link(links, i, k, scratch, body, moved):
-    """Write the motion of link ``k`` of an arm, and how the joints of the arm displace it.
+    """Write the motion of link ``k`` of a robot, and how the joints of the robot displace it.
 
     After :func:`write_motions` with the same scratch.
 
@@ -254,7 +254,7 @@ def displace_by_rate(link, p, twist, out):
 
 @kernel
 def subtract_load(k, wrench, scratch):
-    """Subtract a wrench (6,) on link ``k`` from the forces that move the arm's links.
+    """Subtract a wrench (6,) on link ``k`` from the forces that move the robot's links.
 
     After :func:`write_motions`, before :func:`write_inverse_dynamics`.  The wrench is about the
     link's origin in its axes [N, N m], and stays constant in these.
@@ -265,7 +265,7 @@ def subtract_load(k, wrench, scratch):
 
 @kernel
 def write_inverse_dynamics(links, i, scratch, by_q, by_v):
-    """Write the derivatives of an arm's inverse dynamics, ``M q'' + b - J^T f``.
+    """Write the derivatives of a robot's inverse dynamics, ``M q'' + b - J^T f``.
 
     By positions and velocities, (n_i, n_i) each, after :func:`write_motions`, and after
     :func:`subtract_load` for every wrench f on a link, with the same scratch, which is used up.
@@ -324,7 +324,7 @@ def _add_beyond(link, beyond):
 
 @kernel
 def subtract_torques(links, i, k, wrench, scratch, table, column):
-    """Subtract the torques of a wrench (6,) on link ``k`` of an arm from a column.
+    """Subtract the torques of a wrench (6,) on link ``k`` of a robot from a column.
 
     The wrench is about the link's origin in its axes; the torques of joints that do not move the
     link are zero.

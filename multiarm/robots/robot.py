@@ -1,6 +1,6 @@
-r"""Robot arms through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
+r"""Robots through Pinocchio: from a URDF to inertia, bias, Jacobian and tip motion.
 
-An arm is one reduced Pinocchio model: its tool appended, locked joints removed, its base placed in
+A robot is one reduced Pinocchio model: its tool appended, locked joints removed, its base placed in
 the world.  It obeys
 
 .. math:: M(q)\,\ddot q + b(q, \dot q) = \tau + J^T f_m
@@ -22,7 +22,7 @@ import pinocchio as pin
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
 from multiarm.robots.base_motion import BaseMotion
-from multiarm.robots.terms import ArmStructure, ArmTerms, TipKinematics
+from multiarm.robots.terms import RobotTerms, TipKinematics, TreeStructure
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 from multiarm.scene.urdf import JointOutline
@@ -283,7 +283,7 @@ class Robot:
         velocity: np.ndarray,
         tip: str = "",
         base: BaseMotion | None = None,
-    ) -> ArmTerms:
+    ) -> RobotTerms:
         """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
         q = self.configuration(angles, base)
         turn = self._turn(q)
@@ -297,7 +297,7 @@ class Robot:
         pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
         motion, axes = self._motion_of(tip, data, q), pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         drift = pin.getFrameClassicalAcceleration(model, data, self.tips[tip].frame_id, axes)
-        return ArmTerms(
+        return RobotTerms(
             M=inertia,
             bias=bias,
             J=motion.jacobian,
@@ -357,7 +357,7 @@ class Robot:
         return data
 
     def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """Joint torques that hold the unloaded arm still, shape (n,)."""
+        """Joint torques that hold the unloaded robot still, shape (n,)."""
         model = self.model.copy()
         model.gravity.linear = np.asarray(gravity, dtype=float)
         torque = pin.computeGeneralizedGravity(
@@ -365,8 +365,8 @@ class Robot:
         )
         return np.array(torque)
 
-    def structure(self) -> ArmStructure:
-        """Geometry and masses of the arm, as copies.
+    def structure(self) -> TreeStructure:
+        """Geometry and masses of the robot, as copies.
 
         Raises
         ------
@@ -381,7 +381,7 @@ class Robot:
         if np.any(turns & slides):
             names = ", ".join(np.array(self.joint_names)[turns & slides])
             raise ModelError(f"{names} turns and slides at once")
-        return ArmStructure(
+        return TreeStructure(
             parents=self.parents,
             slides=slides,
             axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
@@ -426,7 +426,7 @@ def _frame_id(model: pin.Model, frame: str, robot: str, *kind: pin.FrameType) ->
 
 
 def _from_urdf(robot: str, urdf: Path | str) -> pin.Model:
-    """The model of a URDF, which nobody may write: arms of one file share it."""
+    """The model of a URDF, which nobody may write: robots of one file share it."""
     try:
         return _read(urdf, urdf.stat().st_mtime_ns if isinstance(urdf, Path) else 0)
     except (OSError, ValueError, RuntimeError) as error:
@@ -554,11 +554,11 @@ _ROLES = {
 }
 
 
-def named_with_prefix(arm: Robot) -> pin.Model:
-    """A copy of the arm's model whose joints and frames are named ``arm/...``."""
-    model = arm.model.copy()
+def named_with_prefix(robot: Robot) -> pin.Model:
+    """A copy of the robot's model whose joints and frames are named ``robot/...``."""
+    model = robot.model.copy()
     for i in range(1, model.njoints):
-        model.names[i] = f"{arm.name}/{model.names[i]}"
+        model.names[i] = f"{robot.name}/{model.names[i]}"
     for i in range(1, model.nframes):
-        model.frames[i].name = f"{arm.name}/{model.frames[i].name}"
+        model.frames[i].name = f"{robot.name}/{model.frames[i].name}"
     return model

@@ -1,4 +1,4 @@
-"""Terms of arm dynamics: where kernels find them, and named arrays of them."""
+"""Terms of robot dynamics: where kernels find them, and named arrays of them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def terms_of_block(of_robot: np.ndarray, first: int) -> TermAddresses:
 class LinkAddresses(NamedTuple):
     """Addresses of the motion of a link in Pinocchio's layout, a row of int64.
 
-    0 for compiled robots, which write it into ``ArmState.bodies``.
+    0 for compiled robots, which write it into ``RobotState.bodies``.
     """
 
     pose: Number = 0
@@ -62,8 +62,8 @@ class LinkPose(NamedTuple):
 POSE_WIDTH, open_pose = width(LinkPose), row_of(LinkPose)
 
 
-class ArmTerms(NamedTuple):
-    r"""One arm at one state: ``M q'' + bias = tau + J^T f`` (thesis, 3.1, in joint space).
+class RobotTerms(NamedTuple):
+    r"""One robot at one state: ``M q'' + bias = tau + J^T f`` (thesis, 3.1, in joint space).
 
     M : (n, n)
         Joint-space inertia, symmetric.
@@ -90,7 +90,7 @@ class ArmTerms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TipKinematics:
-    r"""Pose, twist and Jacobian of an arm's tip frame at a state.
+    r"""Pose, twist and Jacobian of a robot's tip frame at a state.
 
     .. math:: \begin{bmatrix} \dot x \\ \omega \end{bmatrix} = J(q)\,\dot q
 
@@ -109,7 +109,7 @@ class TipKinematics:
         ``twist = jacobian @ joint_velocities``; world axes, at the tip's origin.  Of a robot with a
         floating base (6, 6 + n): the twist of the base stands before the joint velocities.
     joint_names : tuple of str
-        The joints of the last n columns, from base to tip: those that the arm moves.  A locked
+        The joints of the last n columns, from base to tip: those that the robot moves.  A locked
         joint, such as the trunk of a robot with several arms, has none.
     """
 
@@ -122,11 +122,11 @@ class TipKinematics:
     __dir__ = public_names
 
 
-class ArmState(NamedTuple):
+class RobotState(NamedTuple):
     """Inputs of a backend, and the array for the motion of the links that carry tips.
 
     angles, rates : (joints,)
-        Positions and velocities of the joints of all arms.
+        Positions and velocities of the joints of all robots.
     q, v : (numbers,), (joints,)
         The same as configuration and velocity of Pinocchio.
     bodies : (links, 24)
@@ -141,13 +141,13 @@ class ArmState(NamedTuple):
     bodies: np.ndarray
 
 
-class ArmFunctions(NamedTuple):
-    """Functions that update the terms of arms.
+class RobotFunctions(NamedTuple):
+    """Functions that update the terms of robots.
 
     addresses : dict of str to int
         Fields of :class:`multiarm.dynamics.variables.Functions`.
     callbacks : dict of str to PythonCallback
-        Those that enter Python; empty where all arms are compiled.
+        Those that enter Python; empty where all robots are compiled.
     """
 
     addresses: dict[str, int]
@@ -155,12 +155,12 @@ class ArmFunctions(NamedTuple):
 
 
 class CoriolisCalls(Numbers):
-    """Addresses of the functions that update the arms' matrices of Coriolis forces; 0: none."""
+    """Addresses of the functions that update the robots' matrices of Coriolis forces; 0: none."""
 
     callback: Int  # Pinocchio's
     compiled: Int  # with the address and the size of its struct:
-    arms_struct: Int
-    arms_size: Int
+    robots_struct: Int
+    robots_size: Int
 
 
 class MatrixAddress(NamedTuple):
@@ -191,8 +191,8 @@ class Coriolis(NamedTuple):
     matrices: np.ndarray
 
 
-class ArmStructure(NamedTuple):
-    """Structure of an arm: a tree of ``n`` joints, each with the link that it moves.
+class TreeStructure(NamedTuple):
+    """Structure of a robot: a tree of ``n`` joints, each with the link that it moves.
 
     parents : int64 (n,)
         Number of the joint before each joint, counted from 0, less than its own; -1: the base.
@@ -219,20 +219,20 @@ class ArmStructure(NamedTuple):
     inertias: np.ndarray
     armature: np.ndarray
 
-    def part(self, first: int, count: int) -> ArmStructure:
+    def part(self, first: int, count: int) -> TreeStructure:
         """Structure of neighbouring joints that neither carry others nor are carried by them."""
-        part = ArmStructure(*(values[first : first + count] for values in self))
+        part = TreeStructure(*(values[first : first + count] for values in self))
         parents = np.where(part.parents >= 0, part.parents - first, -1)
         return part._replace(parents=parents)
 
 
 class LinkTerms(NamedTuple):
-    r"""One arm at one state, as the time loop uses it.
+    r"""One robot at one state, as the time loop uses it.
 
     inertia : (n, n)
         Of the joints.
     jacobian : (6, n)
-        Each column as if its joint moved the whole arm: world axes, about the world's origin.
+        Each column as if its joint moved the whole robot: world axes, about the world's origin.
     bias, gravity_torque : (n,)
         Coriolis, centrifugal and gravity forces; the gravity forces alone.
     poses : (n, 12)

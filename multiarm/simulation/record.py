@@ -96,7 +96,7 @@ def run_statistics(driver: Driver) -> RunStatistics:
     return RunStatistics(
         integrator=run.stepping.tableau.name,
         solver=spec.solver,
-        arms=backends.by_arm,
+        arms=backends.by_robot,
         not_compiled=backends.reasons,
         stabilization=spec.stabilization.kind,
         accuracy=None if spec.accuracy is None else spec.accuracy.written,

@@ -24,7 +24,7 @@ from multiarm.assembly.robot_postures import ALL_WRITTEN, RobotPostureSearch
 from multiarm.assembly.robots import load_robots
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot, RobotFiles
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 from multiarm.scene import ObjectSpec, Scene, parse_scene
 from multiarm.scene.robots import find_robot
 
@@ -39,7 +39,7 @@ CLOSED = 4.0 * REACHED
 class Tree:
     """A tree with limits, and the frames that it may hold something with."""
 
-    structure: ArmStructure
+    structure: TreeStructure
     limits: np.ndarray
     tips: tuple[LinkFrame, ...]
     base_joints: int = 0
@@ -100,8 +100,8 @@ def model(name: str, *tips: str) -> Tree:
 def on_moving_base(robot: Tree) -> Tree:
     """The robot on joints x, y and yaw without limits."""
     tree = robot.structure
-    base = ArmStructure(*(np.zeros((3, *part.shape[1:]), part.dtype) for part in tree))
-    both = ArmStructure(*map(np.concatenate, zip(base, tree, strict=True)))
+    base = TreeStructure(*(np.zeros((3, *part.shape[1:]), part.dtype) for part in tree))
+    both = TreeStructure(*map(np.concatenate, zip(base, tree, strict=True)))
     both.parents[:] = np.concatenate([[-1, 0, 1], np.where(tree.parents < 0, 2, tree.parents + 3)])
     both.slides[:2] = True
     both.axes[:3], both.rotations[:3], both.masses[:3] = YAW_LAST, np.eye(3), 1.0
@@ -132,10 +132,10 @@ def gap(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.concatenate([between[:3, 3], Rotation.from_matrix(between[:3, :3]).as_rotvec()])
 
 
-def planar(lengths: Sequence[float], parents: Sequence[int]) -> ArmStructure:
+def planar(lengths: Sequence[float], parents: Sequence[int]) -> TreeStructure:
     """Bars in a plane that turn about z; each begins at the end of its parent, along x."""
     n, along = len(parents), np.array([[lengths[p] if p >= 0 else 0.0, 0, 0] for p in parents])
-    return ArmStructure(
+    return TreeStructure(
         parents=np.array(parents, dtype=np.int64),
         slides=np.zeros(n, dtype=bool),
         axes=np.tile(Z, (n, 1)),

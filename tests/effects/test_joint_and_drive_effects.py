@@ -181,7 +181,7 @@ def test_inverse_dynamics_turns_the_rotors_too():
 def test_rotors_of_arms_in_several_pinocchio_models_stay_with_their_arms(monkeypatch):
     import multiarm.robots.backends
 
-    monkeypatch.setattr(multiarm.robots.backends, "ARMS_PER_GROUP", 1)
+    monkeypatch.setattr(multiarm.robots.backends, "ROBOTS_PER_GROUP", 1)
     scene = ur5_pair({"kind": "weld"}, {"kind": "ball"})
     system = ma.compile_system(scene.replace(effects={"rotor_inertia": {"right": 0.7}}))
     plain = ma.compile_system(scene)

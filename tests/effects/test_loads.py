@@ -334,7 +334,7 @@ def test_wrenches_find_their_arm_among_several_pinocchio_models(monkeypatch, rng
     state = random_state(ma.compile_system(scene), rng)
     wrench = {"on": "right/forearm_link", "at": [0.1, 0.2, 0.3], "force": [1.0, 2.0, 3.0]}
     _, together = added(scene, [wrench], state)
-    monkeypatch.setattr(multiarm.robots.backends, "ARMS_PER_GROUP", 1)
+    monkeypatch.setattr(multiarm.robots.backends, "ROBOTS_PER_GROUP", 1)
     _, apart = added(scene, [wrench], state)
     np.testing.assert_allclose(together, apart, atol=1e-12)
     assert np.all(together[:6] == 0.0) and np.all(together[9:] == 0.0)

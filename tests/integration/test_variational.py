@@ -364,7 +364,7 @@ def coriolis_matrices(system):
         ctypes.CFUNCTYPE(None)(calls.callback)()
     if calls.compiled:
         kinds = [ctypes.c_int64] * 3 + [ctypes.c_double] * 2
-        ctypes.CFUNCTYPE(*kinds)(calls.compiled)(calls.arms_struct, calls.arms_size, 0.0, 0.0)
+        ctypes.CFUNCTYPE(*kinds)(calls.compiled)(calls.robots_struct, calls.robots_size, 0.0, 0.0)
     found = []
     for (at, stride), arm in zip(matrices, system.arms.values(), strict=True):
         n = arm.dof

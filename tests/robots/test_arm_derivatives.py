@@ -22,16 +22,16 @@ from multiarm.jit.structs import struct_of, view
 from multiarm.robots.derivatives import (
     DISPLACEMENT_WIDTH,
     LINK_WIDTH,
-    ArmLinks,
     Displacement,
-    arm_links,
+    TreeLinks,
     subtract_load,
     subtract_torques,
+    tree_links,
     write_inverse_dynamics,
     write_link,
     write_motions,
 )
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 GRAVITY = np.array([1.0, -2.0, -9.0])
 TREES = {
@@ -45,7 +45,7 @@ TREES = {
 # Differences of order four at this step: h^4 of the truncation, eps / h of the roundings.
 STEP, TOLERANCE = 1e-3, 1e-9
 
-open_links = view(ArmLinks)
+open_links = view(TreeLinks)
 
 
 @kernel
@@ -73,8 +73,8 @@ def load_torques(struct: INTS, i: INT, k: INT, wrench: NUMBERS, scratch: TABLE, 
 class Moving(NamedTuple):
     """Two trees side by side, of which the second is looked at; Pinocchio's model of it."""
 
-    links: np.ndarray  # struct of ArmLinks
-    keeps: ArmLinks
+    links: np.ndarray  # struct of TreeLinks
+    keeps: TreeLinks
     model: pin.Model
     q: np.ndarray
     v: np.ndarray
@@ -83,9 +83,9 @@ class Moving(NamedTuple):
     scratch: np.ndarray
 
 
-def moving(tree: ArmStructure, rng) -> Moving:
+def moving(tree: TreeStructure, rng) -> Moving:
     n, before = tree.parents.size, random_structure(rng, [-1, 0, 0])
-    links = arm_links([before, tree], GRAVITY)
+    links = tree_links([before, tree], GRAVITY)
     every = tuple(rng.uniform(-2, 2, 3 + n) for _ in range(3))
     model = pinocchio_model(tree, GRAVITY)
     scratch = rng.standard_normal((n, LINK_WIDTH))

@@ -21,13 +21,13 @@ from multiarm.errors import ModelError
 from multiarm.jit.rows import fields_of, offset_of
 from multiarm.robots.chain import JOINT_WIDTH, ChainJoint
 from multiarm.robots.compiled import backend as compiled_backend
-from multiarm.robots.compiled.backend import CompiledBackend, compile_arms
+from multiarm.robots.compiled.backend import CompiledBackend, compile_robots
 from multiarm.robots.compiled.kernels import FAR, write_sines
 from multiarm.robots.compiled.packing import make_tables
 from multiarm.robots.compiled.reference import pinocchio_terms
 from multiarm.robots.compiled.tables import MOST_JOINTS
 from multiarm.robots.robot import Robot
-from multiarm.robots.terms import ArmStructure, LinkTerms
+from multiarm.robots.terms import LinkTerms, TreeStructure
 from multiarm.scene import available_robots, find_robot, read_urdf
 
 EPS = np.finfo(float).eps
@@ -122,11 +122,11 @@ def chain(joints: int) -> tuple[int, ...]:
     return tuple(range(-1, joints - 1))
 
 
-def random_arm(rng, joints: int) -> ArmStructure:
+def random_arm(rng, joints: int) -> TreeStructure:
     return random_structure(rng, chain(joints))
 
 
-def kinetic_energy(arm: ArmStructure, q, v) -> float:
+def kinetic_energy(arm: TreeStructure, q, v) -> float:
     """From poses a millisecond apart: no Jacobian, no formula of the package."""
     h = 1e-3
     frames = [link_frames(arm, q + t * v) for t in (-2 * h, -h, h, 2 * h)]
@@ -145,7 +145,7 @@ def rate(values, h):
     return (before - 8 * near + 8 * after - far) / (12 * h)
 
 
-def potential_energy(arm: ArmStructure, q) -> float:
+def potential_energy(arm: TreeStructure, q) -> float:
     frames = link_frames(arm, q)
     places = [p + R @ c for (R, p), c in zip(frames, arm.centres, strict=True)]
     return -float(arm.masses @ (np.array(places) @ GRAVITY))
@@ -318,7 +318,7 @@ def panda():
 
 
 def test_an_arm_that_is_compiled_is_the_arm(panda):
-    found, reasons = compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
+    found, reasons = compile_robots({"panda": panda}, GRAVITY, [(0, 7)])
     assert found.places == (0,) and reasons == {}
 
 
@@ -345,13 +345,13 @@ def test_a_copy_that_is_wrong_is_refused(column, panda, monkeypatch):
     """Whichever of its numbers is off, by a billionth."""
     monkeypatch.setattr(compiled_backend, "make_tables", one_constant(column, 1e-9))
     with refused(ModelError, "'panda'"):
-        compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
+        compile_robots({"panda": panda}, GRAVITY, [(0, 7)])
 
 
 def test_the_refusal_names_arm_quantity_size_and_remedy(panda, monkeypatch):
     monkeypatch.setattr(compiled_backend, "make_tables", one_constant(ARMATURE, 0.1))
     with pytest.raises(ModelError) as caught:
-        compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
+        compile_robots({"panda": panda}, GRAVITY, [(0, 7)])
     for part in ("arm 'panda'", "the inertia", "e-02 of its largest", "arms: pinocchio"):
         assert part in str(caught.value)
 
@@ -367,7 +367,7 @@ def test_every_quantity_is_compared(quantity, panda, monkeypatch):
         values.flat[-1] = np.nan
         return found._replace(**{quantity: values})
 
-    found, _ = compile_arms({"panda": panda}, GRAVITY, [(0, 7)])
+    found, _ = compile_robots({"panda": panda}, GRAVITY, [(0, 7)])
     monkeypatch.setattr(CompiledBackend, "terms", spoiled)
     with refused(ModelError, compiled_backend._WORDS[quantity]):
         compiled_backend.verify(
@@ -388,7 +388,7 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
         base = random_base(rng)
         base[:3, 3] = 3.0 * base[:3, 0]
         arm = arm_of(tmp_path / "chain.urdf", "tip", base)
-        found, _ = compile_arms({"arm": arm}, gravity * base[:3, 2], [(0, arm.dof)])
+        found, _ = compile_robots({"arm": arm}, gravity * base[:3, 2], [(0, arm.dof)])
         assert found.places == (0,)
         compiled_backend.verify(
             found.tables, found.places, {"arm": arm}, [(0, arm.dof)], compiled_backend.CORIOLIS
@@ -398,10 +398,10 @@ def test_terms_that_cancel_are_no_reason_to_refuse(kinds, gravity, tmp_path, rng
 def test_more_than_sixteen_joints_stay_with_pinocchio_and_say_so(tmp_path, panda):
     (tmp_path / "chain.urdf").write_text(chain_urdf("xyz" * 5 + "xy"))
     long = arm_of(tmp_path / "chain.urdf", "tip", name="long")
-    found, reasons = compile_arms({"long": long, "panda": panda}, GRAVITY, [(0, 17), (1, 7)])
+    found, reasons = compile_robots({"long": long, "panda": panda}, GRAVITY, [(0, 17), (1, 7)])
     assert found.places == (1,)
     assert reasons == {"long": "it has 17 joints between base and a link; at most 16 are compiled"}
-    alone, _ = compile_arms({"long": long}, GRAVITY, [(0, 17)])
+    alone, _ = compile_robots({"long": long}, GRAVITY, [(0, 17)])
     assert alone is None
 
 

@@ -252,7 +252,7 @@ def test_a_run_of_compiled_arms_enters_python_never(method, entered):
     system = ma.compile_system(scene, arms="compiled")
     data = data_of(system)
     functions = data.arrays.functions
-    assert functions.pinocchio == functions.pinocchio_energy == 0 and functions.arms != 0
+    assert functions.pinocchio == functions.pinocchio_energy == 0 and functions.robots != 0
     lazy = {"coupled", "decomposed", "solve_again", "near_singular", "general_rows", "command"}
     assert set(data.callbacks) == {"dense", *lazy}
     ma.simulate(system, 0.1, certificate=False, **METHODS[method])
@@ -276,7 +276,7 @@ def test_a_run_with_events_enters_python_never(entered):
 
 def test_scenes_without_compiled_arms_have_nothing_of_them():
     functions = data_of(ma.compile_system(pair())).arrays.functions
-    assert functions.arms == 0 and functions.pinocchio != 0
+    assert functions.robots == 0 and functions.pinocchio != 0
 
 
 # --- mixed systems -------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from random_structures import random_parents, random_structure, random_tree
 
 from multiarm.errors import ModelError
 from multiarm.robots.compiled import backend as compiled_backend
-from multiarm.robots.compiled.backend import compile_arms, verify
+from multiarm.robots.compiled.backend import compile_robots, verify
 from multiarm.robots.compiled.branches import branches_of, most_in_a_row
 from multiarm.robots.compiled.reference import pinocchio_terms
 from multiarm.robots.compiled.tables import MOST_JOINTS
@@ -250,7 +250,7 @@ def test_branches_and_robots_alike_share_packs(key, alone, four):
 def test_a_robot_that_is_compiled_is_the_robot():
     arm = robot("tiago_pro")
     links = [(0, joint) for joint in last_links(arm)]
-    backend, reasons = compile_arms({"tiago": arm}, GRAVITY, links)
+    backend, reasons = compile_robots({"tiago": arm}, GRAVITY, links)
     assert backend.places == (0,) and reasons == {}
     verify(backend.tables, (0,), {"tiago": arm}, links, LinkTerms._fields)
 
@@ -268,13 +268,13 @@ def test_a_copy_with_a_wrong_link_is_refused(monkeypatch):
 
         monkeypatch.setattr(compiled_backend, "make_tables", wrong)
         with pytest.raises(ModelError, match="tiago_pro"):
-            compile_arms({"tiago_pro": arm}, GRAVITY, [])
+            compile_robots({"tiago_pro": arm}, GRAVITY, [])
 
 
 def test_depth_decides_and_not_the_number_of_joints(tmp_path, rng):
     wide = tree_arm(tmp_path, rng, [-1, *[0] * 2 * MOST_JOINTS], name="wide")
     deep = tree_arm(tmp_path, rng, [-1, *range(MOST_JOINTS), 0], name="deep")
-    backend, reasons = compile_arms({"wide": wide, "deep": deep}, GRAVITY, [(0, 1), (1, 2)])
+    backend, reasons = compile_robots({"wide": wide, "deep": deep}, GRAVITY, [(0, 1), (1, 2)])
     assert backend.places == (0,)
     reason = f"it has {MOST_JOINTS + 1} joints between base and a link"
     assert reasons == {"deep": f"{reason}; at most {MOST_JOINTS} are compiled"}

@@ -37,7 +37,7 @@ from multiarm.jit.simd import (
     transpose_four,
 )
 from multiarm.problems import HARD_CASES, ring_of_arms
-from multiarm.robots.compiled.kernels import outwards, update_arms
+from multiarm.robots.compiled.kernels import outwards, update_robots
 from multiarm.scene import parse_scene
 from multiarm.scene.joint_values import SOLVE
 
@@ -194,7 +194,7 @@ def lines_of_kernels() -> golden.Results:
     from multiarm.dynamics.equations import evaluate_state
 
     system, seen = dividing(), {}
-    for function in (evaluate_state, update_arms, outwards):
+    for function in (evaluate_state, update_robots, outwards):
         seen[function.py_func.__code__] = set()
 
     def trace(frame, event, argument):

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 
 def random_parents(rng, joints: int, branching: float = 0.4) -> list[int]:
-    """Parents of a tree's joints, as :class:`multiarm.robots.terms.ArmStructure` has them.
+    """Parents of a tree's joints, as :class:`multiarm.robots.terms.TreeStructure` has them.
 
     A branch is complete before the next one begins: Pinocchio relies on this order.
     """
@@ -68,14 +68,14 @@ def words(numbers) -> str:
     return " ".join(repr(float(x)) for x in numbers)
 
 
-def random_structure(rng, parents: Sequence[int]) -> ArmStructure:
+def random_structure(rng, parents: Sequence[int]) -> TreeStructure:
     joints = len(parents)
     axes = rng.standard_normal((joints, 3))
     moments = []
     for _ in range(joints):
         turn, size = Rotation.random(random_state=rng).as_matrix(), rng.uniform(0.05, 0.2, 3)
         moments.append(turn @ np.diag(np.sum(size**2) - size**2) @ turn.T)
-    return ArmStructure(
+    return TreeStructure(
         parents=np.array(parents, dtype=np.int64),
         slides=rng.random(joints) < 0.4,
         axes=axes / np.linalg.norm(axes, axis=1)[:, None],
@@ -88,7 +88,7 @@ def random_structure(rng, parents: Sequence[int]) -> ArmStructure:
     )
 
 
-def pinocchio_model(tree: ArmStructure, gravity: np.ndarray) -> pin.Model:
+def pinocchio_model(tree: TreeStructure, gravity: np.ndarray) -> pin.Model:
     """The tree in Pinocchio; its joints keep their order, counted from 1 as Pinocchio does."""
     model = pin.Model()
     for k, parent in enumerate(tree.parents):
@@ -104,7 +104,7 @@ def pinocchio_model(tree: ArmStructure, gravity: np.ndarray) -> pin.Model:
     return model
 
 
-def link_frames(tree: ArmStructure, q) -> list[tuple[np.ndarray, np.ndarray]]:
+def link_frames(tree: TreeStructure, q) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rotation and origin of every link in the world, as a textbook draws them."""
     frames = []
     for k, parent in enumerate(tree.parents):

@@ -211,7 +211,7 @@ def where_terms_are(data) -> set[int]:
     pointers = data.arrays.bodies.pointers[: len(data.model.robots)]
     places = set(np.delete(pointers, offset_of(TermAddresses, "stride"), axis=1).ravel())
     functions = data.arrays.functions
-    return (places | {functions.pinocchio, functions.dense, functions.arms_struct}) - {0}
+    return (places | {functions.pinocchio, functions.dense, functions.robots_struct}) - {0}
 
 
 def test_data_of_one_model_share_no_array_that_is_written(system):

@@ -1,7 +1,7 @@
-"""The compiled backend: arms whose terms batched kernels compute, verified against Pinocchio.
+"""The compiled backend: robots whose terms batched kernels compute, verified against Pinocchio.
 
-Every compiled arm is compared with Pinocchio at random states before it is used.  The states are
-the same for the same arm: its structure is the seed.
+Every compiled robot is compared with Pinocchio at random states before it is used.  The states are
+the same for the same robot: its structure is the seed.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from multiarm.jit.rows import as_row, fields_of, offset_of
 from multiarm.jit.structs import struct_of
 from multiarm.robots.compiled.branches import most_in_a_row
 from multiarm.robots.compiled.coriolis import update_coriolis
-from multiarm.robots.compiled.kernels import update_arms
+from multiarm.robots.compiled.kernels import update_robots
 from multiarm.robots.compiled.packing import BodyLink, make_tables
 from multiarm.robots.compiled.reference import at_rest, pinocchio_terms
 from multiarm.robots.compiled.tables import (
     JACOBIAN_WIDTH,
     MOST_JOINTS,
-    ArmTables,
+    RobotTables,
     TermOffsets,
     Wanted,
     make_terms,
@@ -33,13 +33,13 @@ from multiarm.robots.compiled.tables import (
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import (
     POSE_WIDTH,
-    ArmState,
-    ArmStructure,
     Coriolis,
     LinkPose,
     LinkTerms,
     MatrixAddress,
+    RobotState,
     TermAddresses,
+    TreeStructure,
 )
 
 # Number of random states; bounds of positions [rad, m] and velocities [rad/s, m/s].
@@ -63,84 +63,84 @@ _PARTS = {
 }
 
 
-def compile_arms(
-    arms: Mapping[str, Robot], gravity: np.ndarray, links: Sequence[tuple[int, int]]
+def compile_robots(
+    robots: Mapping[str, Robot], gravity: np.ndarray, links: Sequence[tuple[int, int]]
 ) -> tuple[CompiledBackend | None, dict[str, str]]:
-    """Backend of all arms that can be compiled, verified against Pinocchio.
+    """Backend of all robots that can be compiled, verified against Pinocchio.
 
     Parameters
     ----------
-    arms : mapping of str to Robot
+    robots : mapping of str to Robot
     gravity : ndarray, shape (3,)
     links : sequence of (int, int)
-        The links whose motion is written to the rows of ``ArmState.bodies``: the arm's number, and
-        Pinocchio's number of the joint that moves the link (0: the base).
+        The links whose motion is written to the rows of ``RobotState.bodies``: the robot's number,
+        and Pinocchio's number of the joint that moves the link (0: the base).
 
     Returns
     -------
     backend : CompiledBackend or None
-        None where no arm can be compiled.
+        None where no robot can be compiled.
     reasons : dict of str to str
-        Why each other arm is not.
+        Why each other robot is not.
 
     Raises
     ------
     ModelError
-        When a compiled arm does not agree with Pinocchio.
+        When a compiled robot does not agree with Pinocchio.
     """
-    structures: dict[int, ArmStructure] = {}
+    structures: dict[int, TreeStructure] = {}
     reasons: dict[str, str] = {}
-    for place, (name, arm) in enumerate(arms.items()):
+    for place, (name, robot) in enumerate(robots.items()):
         try:
-            structures[place] = _structure(arm)
+            structures[place] = _structure(robot)
         except ModelError as reason:
             reasons[name] = str(reason)
     if not structures:
         return None, reasons
-    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
+    first = np.cumsum([0, *(robot.dof for robot in robots.values())])
     places = tuple(structures)
     first_joints = [int(first[place]) for place in places]
     bodies = _body_links(places, links)
     tables = make_tables(list(structures.values()), first_joints, bodies, gravity)
-    verify(tables, places, arms, links)
-    return CompiledBackend(tables, places, arms, links), reasons
+    verify(tables, places, robots, links)
+    return CompiledBackend(tables, places, robots, links), reasons
 
 
 class CompiledBackend:
-    """Arms of one system in compiled code, four branches at a time.
+    """Robots of one system in compiled code, four branches at a time.
 
     See :mod:`multiarm.robots.backends`.  The sweep writes the motion of the links that take part in
-    connections into ``ArmState.bodies``.
+    connections into ``RobotState.bodies``.
 
     Parameters
     ----------
-    tables : ArmTables
+    tables : RobotTables
         Constants, which several systems may share.
     places : sequence of int
-        The arms' numbers among all arms of the scene.
-    arms : mapping of str to Robot
-        All arms of the scene, against which the compiled ones are verified.
+        The robots' numbers among all robots of the scene.
+    robots : mapping of str to Robot
+        All robots of the scene, against which the compiled ones are verified.
     links : sequence of (int, int)
-        See :func:`compile_arms`.
+        See :func:`compile_robots`.
     """
 
     def __init__(
         self,
-        tables: ArmTables,
+        tables: RobotTables,
         places: Sequence[int],
-        arms: Mapping[str, Robot],
+        robots: Mapping[str, Robot],
         links: Sequence[tuple[int, int]],
     ) -> None:
-        self.tables, self.places, self._arms, self._links = tables, tuple(places), arms, links
+        self.tables, self.places, self._robots, self._links = tables, tuple(places), robots, links
         self._terms, self._coriolis = make_terms(tables), make_terms(tables)
         self._world = as_row(LinkPose(np.eye(3), np.zeros(3)))
-        self._offsets = [TermOffsets(*row) for row in tables.arms.tolist()]
+        self._offsets = [TermOffsets(*row) for row in tables.robots.tolist()]
         self.pointers = np.array([self._pointers(offsets) for offsets in self._offsets])
 
     def copy(self) -> CompiledBackend:
-        """The same arms with their own terms; the constants are shared."""
+        """The same robots with their own terms; the constants are shared."""
         tables = self.tables._replace(wanted=self.tables.wanted.copy())  # flags of one system
-        return CompiledBackend(tables, self.places, self._arms, self._links)
+        return CompiledBackend(tables, self.places, self._robots, self._links)
 
     def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
         """Let the sweeps read positions and velocities of all joints, and write all bodies.
@@ -153,14 +153,14 @@ class CompiledBackend:
             if joint == 0 and place in self.places:
                 bodies.reshape(-1, BODY_WIDTH)[row] = at_rest()
 
-    def connect(self, state: ArmState) -> dict[str, int]:
+    def connect(self, state: RobotState) -> dict[str, int]:
         """Addresses of the function that updates all terms and of its struct, and its size."""
         self.bind(state.angles, state.rates, state.bodies)
         struct = self._struct
         return {
-            "arms": address_of(update_arms),
-            "arms_struct": struct.ctypes.data,
-            "arms_size": struct.size,
+            "robots": address_of(update_robots),
+            "robots_struct": struct.ctypes.data,
+            "robots_size": struct.size,
         }
 
     def connect_coriolis(self, coriolis: Coriolis) -> None:
@@ -171,13 +171,13 @@ class CompiledBackend:
         ModelError
             When a compiled matrix is not Pinocchio's.
         """
-        verify(self.tables, self.places, self._arms, self._links, CORIOLIS)
+        verify(self.tables, self.places, self._robots, self._links, CORIOLIS)
         at = self._coriolis.ctypes.data
         for place, offsets in zip(self.places, self._offsets, strict=True):
             coriolis.matrices[place] = MatrixAddress(at + 8 * offsets.inertia, offsets.stride)
         calls, struct = coriolis.calls, self._struct
-        calls.compiled, calls.arms_struct = address_of(update_coriolis), struct.ctypes.data
-        calls.arms_size = struct.size
+        calls.compiled, calls.robots_struct = address_of(update_coriolis), struct.ctypes.data
+        calls.robots_size = struct.size
 
     def want_gravity_torque(self) -> None:
         """Write gravity torques too."""
@@ -193,15 +193,15 @@ class CompiledBackend:
 
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
-        for entry in (update_arms, update_coriolis) if with_coriolis else (update_arms,):
+        for entry in (update_robots, update_coriolis) if with_coriolis else (update_robots,):
             call_whole(entry, self._struct)
 
-    def terms(self, arm: int) -> LinkTerms:
-        """Copies of the last terms of arm number ``arm`` of these."""
-        at, terms, n = self._offsets[arm], self._terms, self._offsets[arm].joints
+    def terms(self, robot: int) -> LinkTerms:
+        """Copies of the last terms of robot number ``robot`` of these."""
+        at, terms, n = self._offsets[robot], self._terms, self._offsets[robot].joints
         lower = np.tril(_square(terms, at.inertia, at.stride, n))
         jacobian = terms[at.jacobian : at.jacobian + JACOBIAN_WIDTH * n].reshape(n, 6)
-        rows = [row for row, link in enumerate(self._links) if link[0] == self.places[arm]]
+        rows = [row for row, link in enumerate(self._links) if link[0] == self.places[robot]]
         return LinkTerms(
             inertia=lower + np.tril(lower, -1).T,
             jacobian=jacobian.T.copy(),
@@ -226,29 +226,29 @@ class CompiledBackend:
 
 
 def verify(
-    tables: ArmTables,
+    tables: RobotTables,
     places: Sequence[int],
-    arms: Mapping[str, Robot],
+    robots: Mapping[str, Robot],
     links: Sequence[tuple[int, int]],
     quantities: Sequence[str] = EVERY_EVALUATION,
 ) -> None:
-    """Compare compiled arms with Pinocchio's.
+    """Compare compiled robots with Pinocchio's.
 
-    ``places`` are the numbers of the compiled arms among all ``arms`` of the scene, ``links`` those
-    of :func:`compile_arms`, ``quantities`` fields of :class:`multiarm.robots.terms.LinkTerms`.
+    ``places`` are the numbers of the compiled robots among all ``robots``, ``links`` those
+    of :func:`compile_robots`, ``quantities`` fields of :class:`multiarm.robots.terms.LinkTerms`.
 
     Raises
     ------
     ModelError
-        Naming the arm, the quantity, the difference and the remedy.
+        Naming the robot, the quantity, the difference and the remedy.
     """
-    first = np.cumsum([0, *(arm.dof for arm in arms.values())])
+    first = np.cumsum([0, *(robot.dof for robot in robots.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
     wanted = Wanted(gravity_torque=True, poses=True)
-    copies = CompiledBackend(tables._replace(wanted=wanted), places, arms, links)
+    copies = CompiledBackend(tables._replace(wanted=wanted), places, robots, links)
     copies.bind(angles, rates, np.zeros((len(links), BODY_WIDTH)))
-    every = [list(arms.values())[place] for place in places]
-    structures = [arm.structure() for arm in every]
+    every = [list(robots.values())[place] for place in places]
+    structures = [robot.structure() for robot in every]
     states = [_random_states(structure) for structure in structures]
     computed: list[list[LinkTerms]] = [[] for _ in every]
     for number in range(STATES):
@@ -258,15 +258,15 @@ def verify(
         copies.update(with_coriolis=CORIOLIS[0] in quantities)
         for k, terms in enumerate(computed):
             terms.append(copies.terms(k))
-    for k, (arm, structure, (q, v)) in enumerate(zip(every, structures, states, strict=True)):
+    for k, (robot, structure, (q, v)) in enumerate(zip(every, structures, states, strict=True)):
         joints = [joint for place, joint in links if place == places[k]]
-        expected = _stacked(pinocchio_terms(arm, joints, q, v, tables.gravity))
+        expected = _stacked(pinocchio_terms(robot, joints, q, v, tables.gravity))
         floors = {name: _floors(structure, expected, tables.gravity)[name] for name in quantities}
-        _compare(arm, _stacked(computed[k]), expected, floors)
+        _compare(robot, _stacked(computed[k]), expected, floors)
 
 
-def _structure(arm: Robot) -> ArmStructure:
-    structure = arm.structure()
+def _structure(robot: Robot) -> TreeStructure:
+    structure = robot.structure()
     depth = most_in_a_row(structure.parents)
     if depth > MOST_JOINTS:
         raise ModelError(
@@ -276,7 +276,7 @@ def _structure(arm: Robot) -> ArmStructure:
 
 
 def _body_links(places: Sequence[int], links: Sequence[tuple[int, int]]) -> list[BodyLink]:
-    """The links of the compiled arms that joints move, and their rows."""
+    """The links of the compiled robots that joints move, and their rows."""
     return [
         BodyLink(places.index(place), joint - 1, row)
         for row, (place, joint) in enumerate(links)
@@ -289,10 +289,10 @@ def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(numbers[at:], (size, size), (8 * stride, 8))
 
 
-def _random_states(arm: ArmStructure) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of an arm, each (8, n)."""
-    seed = zlib.crc32(b"".join(part.tobytes() for part in arm))
-    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, arm.masses.size))
+def _random_states(robot: TreeStructure) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of a robot, each (8, n)."""
+    seed = zlib.crc32(b"".join(part.tobytes() for part in robot))
+    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, robot.masses.size))
     return LARGEST_POSITION * draw[0], LARGEST_VELOCITY * draw[1]
 
 
@@ -301,9 +301,9 @@ def _stacked(states: Sequence[LinkTerms]) -> LinkTerms:
     return LinkTerms(*(np.stack(values) for values in zip(*states, strict=True)))
 
 
-def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
+def _floors(robot: TreeStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[str, float]:
     """Magnitude of the summands of each quantity, which may cancel."""
-    mass, weight = float(np.sum(arm.masses)), float(np.linalg.norm(gravity))
+    mass, weight = float(np.sum(robot.masses)), float(np.linalg.norm(gravity))
     origins = fields_of(LinkPose, terms.poses).origin
     inertia, away = (float(np.max(np.abs(x))) for x in (terms.inertia, origins))
     held = weight * np.sqrt(mass * inertia)  # m g r, with m r^2 among the inertias
@@ -320,7 +320,7 @@ def _floors(arm: ArmStructure, terms: LinkTerms, gravity: np.ndarray) -> dict[st
 
 
 def _compare(
-    arm: Robot, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
+    robot: Robot, computed: LinkTerms, expected: LinkTerms, floors: Mapping[str, float]
 ) -> None:
     """Raise an error for the first quantity that differs, relative to its largest entry."""
     for name, floor in floors.items():
@@ -331,7 +331,7 @@ def _compare(
             size = _difference(value, reference, floor)
             if not size <= 1e-11:
                 raise ModelError(
-                    f"{arm.text}: its compiled copy is not the {arm.noun}: {_WORDS[name]} "
+                    f"{robot.text}: its compiled copy is not the {robot.noun}: {_WORDS[name]} "
                     f"differs from Pinocchio's by {size:.1e} of its largest entry, at most 1e-11 "
                     f"is allowed; let Pinocchio compute the arms (`run: {{arms: pinocchio}}`)"
                 )

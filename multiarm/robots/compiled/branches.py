@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.jit.simd import LANES
-from multiarm.robots.terms import ArmStructure
+from multiarm.robots.terms import TreeStructure
 
 
 class Branch(NamedTuple):
-    """Joints of an arm, counted from 0, each the only one after that before it."""
+    """Joints of a robot, counted from 0, each the only one after that before it."""
 
-    arm: int
+    robot: int
     joints: tuple[int, ...]
     ancestors: tuple[int, ...]  # the joints between base and branch
     level: int  # number of branches between base and branch
@@ -35,8 +35,8 @@ class Group(NamedTuple):
     plain: bool  # whether its only block is one of plain arms
 
 
-def branches_of(arm: int, parents: np.ndarray) -> list[Branch]:
-    """The branches of an arm, each after that from which it begins."""
+def branches_of(robot: int, parents: np.ndarray) -> list[Branch]:
+    """The branches of a robot, each after that from which it begins."""
     children = np.bincount(parents[parents >= 0], minlength=parents.size)
     branches: list[Branch] = []
     of_joint: list[int] = []  # the branch of each joint
@@ -46,10 +46,10 @@ def branches_of(arm: int, parents: np.ndarray) -> list[Branch]:
             branch = branches[number]
             branches[number] = branch._replace(joints=(*branch.joints, joint))
         else:
-            before = branches[of_joint[parent]] if parent >= 0 else Branch(arm, (), (), -1)
+            before = branches[of_joint[parent]] if parent >= 0 else Branch(robot, (), (), -1)
             ancestors = (*before.ancestors, *before.joints)
             number = len(branches)
-            branches.append(Branch(arm, (joint,), ancestors, before.level + 1))
+            branches.append(Branch(robot, (joint,), ancestors, before.level + 1))
         of_joint.append(number)
     return branches
 
@@ -63,28 +63,28 @@ def most_in_a_row(parents: np.ndarray) -> int:
 
 
 def make_groups(
-    structures: Sequence[ArmStructure], carriers: Sequence[Sequence[int]]
+    structures: Sequence[TreeStructure], carriers: Sequence[Sequence[int]]
 ) -> list[Group]:
-    """Groups of all arms, plain ones first.
+    """Groups of all robots, plain ones first.
 
-    ``carriers`` are each arm's joints, counted from 0, whose links take part in connections.
+    ``carriers`` are each robot's joints, counted from 0, whose links take part in connections.
     """
-    branches = [branches_of(k, arm.parents) for k, arm in enumerate(structures)]
-    joints = [arm.parents.size for arm in structures]
+    branches = [branches_of(k, robot.parents) for k, robot in enumerate(structures)]
+    joints = [robot.parents.size for robot in structures]
     is_plain = [
         len(branches[k]) == 1 and list(carriers[k]) == [joints[k] - 1] for k in range(len(joints))
     ]
-    plain = sorted(np.flatnonzero(is_plain).tolist(), key=lambda arm: -joints[arm])
+    plain = sorted(np.flatnonzero(is_plain).tolist(), key=lambda robot: -joints[robot])
     groups = [
-        Group((tuple(branches[arm][0] for arm in four),), plain=True) for four in _fours(plain)
+        Group((tuple(branches[robot][0] for robot in four),), plain=True) for four in _fours(plain)
     ]
     # those alike side by side, so that their branches share blocks
     trees = sorted(
         np.flatnonzero(np.logical_not(is_plain)).tolist(),
-        key=lambda arm: (-joints[arm], structures[arm].parents.tolist()),
+        key=lambda robot: (-joints[robot], structures[robot].parents.tolist()),
     )
     for four in _fours(trees):
-        together = [branch for arm in four for branch in branches[arm]]
+        together = [branch for robot in four for branch in branches[robot]]
         together.sort(key=lambda branch: (branch.level, -len(branch.joints)))
         levels = range(together[-1].level + 1)
         by_level = [[branch for branch in together if branch.level == level] for level in levels]

@@ -38,7 +38,7 @@ from multiarm.robots.compiled.kernels import (
     load_joints,
     move,
     outwards,
-    transpose_to_arms,
+    transpose_to_robots,
     zero_vector,
 )
 from multiarm.robots.compiled.tables import (
@@ -46,17 +46,17 @@ from multiarm.robots.compiled.tables import (
     LINK_SUMS,
     TURN_LANES,
     TURN_SUMS,
-    open_arms,
     open_frame,
     open_link,
+    open_robots,
     open_turn,
 )
 
 
 @cfunc
 def update_coriolis(address, size, _a, _b):
-    """Write the matrices of Coriolis forces of compiled arms, column by column."""
-    tables, work = open_arms(struct_at(address, size))
+    """Write the matrices of Coriolis forces of compiled robots, column by column."""
+    tables, work = open_robots(struct_at(address, size))
     load_joints(tables, work)
     groups = tables.groups
     for g in range(groups.plain.size):
@@ -67,7 +67,7 @@ def update_coriolis(address, size, _a, _b):
         for b in range(end - 1, first - 1, -1):
             coriolis_inwards(tables, work, b)
         if groups.plain[g]:
-            transpose_to_arms(
+            transpose_to_robots(
                 work.leaves, 0, tables.blocks.joints[first] ** 2, work.coriolis,
                 groups.first_term[g], groups.term_count[g],
             )  # fmt: skip

@@ -66,20 +66,20 @@ from multiarm.robots.compiled.tables import (
     LINK_LANES,
     LINK_SUMS,
     POSE_LANES,
-    open_arms,
     open_body,
     open_frame,
     open_jacobian,
     open_joint,
     open_link,
     open_pose,
+    open_robots,
 )
 
 
 @cfunc
-def update_arms(address, size, _a, _b):
-    """Write all terms of compiled arms, and the motion of links that take part in connections."""
-    tables, work = open_arms(struct_at(address, size))
+def update_robots(address, size, _a, _b):
+    """Write all terms of compiled robots, and the motion of links that take part in connections."""
+    tables, work = open_robots(struct_at(address, size))
     load_joints(tables, work)
     groups = tables.groups
     for g in range(groups.plain.size):
@@ -241,11 +241,11 @@ def add_to_parents(blocks, b, sums, scratch, first, size):
 
 @inlined
 def transpose_terms(tables, work, g):
-    """Copy the terms of each arm of a group of plain arms from the lanes to the arm's own array."""
+    """Copy the terms of each arm of a group of plain arms from the lanes to its own array."""
     groups, b = tables.groups, tables.groups.first_block[g]
     width, rows = groups.term_count[g], groups.bodies[g]
     written = width if tables.wanted.poses else tables.blocks.poses[b]
-    transpose_to_arms(work.leaves, 0, written, work.terms, groups.first_term[g], width)
+    transpose_to_robots(work.leaves, 0, written, work.terms, groups.first_term[g], width)
     for k in range(0, BODY_WIDTH, LANES):
         transpose_four(
             work.leaves, LANES * (width + k), work.bodies, BODY_WIDTH * rows[0] + k,
@@ -254,8 +254,8 @@ def transpose_terms(tables, work, g):
 
 
 @inlined
-def transpose_to_arms(leaves, at, count, out, first, width):
-    """Copy ``count`` numbers of each lane to an array in which an arm has ``width``."""
+def transpose_to_robots(leaves, at, count, out, first, width):
+    """Copy ``count`` numbers of each lane to an array in which a robot has ``width``."""
     for k in range(0, count, LANES):
         transpose_four(
             leaves, at + LANES * k, out, first + k, first + width + k, first + 2 * width + k,
@@ -265,7 +265,7 @@ def transpose_to_arms(leaves, at, count, out, first, width):
 
 @inlined
 def move_terms(tables, work, g):
-    """Move the leaves of a group of trees to the arms' terms, and to the bodies."""
+    """Move the leaves of a group of trees to the robots' terms, and to the bodies."""
     move(work.leaves, tables.groups.terms, g, work.terms)
     if tables.wanted.poses:
         move(work.leaves, tables.groups.poses, g, work.terms)

@@ -1,4 +1,4 @@
-"""Tables of compiled arms: in which lanes, rows of scratch and places their branches and terms are.
+"""Tables of compiled robots: lanes, rows of scratch and places of their branches and terms.
 
 What the tables are is said in :mod:`multiarm.robots.compiled.tables`.
 """
@@ -18,16 +18,16 @@ from multiarm.robots.chain import ChainJoint, chain_joints, joints_at_rest
 from multiarm.robots.compiled.branches import Branch, Group, make_groups
 from multiarm.robots.compiled.tables import (
     JACOBIAN_WIDTH,
-    ArmTables,
     Blocks,
     Groups,
     Motions,
     Moves,
+    RobotTables,
     Sizes,
     TermOffsets,
     Wanted,
 )
-from multiarm.robots.terms import POSE_WIDTH, ArmStructure
+from multiarm.robots.terms import POSE_WIDTH, TreeStructure
 
 Pairs = list[tuple[int, int]]
 
@@ -35,14 +35,14 @@ Pairs = list[tuple[int, int]]
 class BodyLink(NamedTuple):
     """A link whose motion is written to a row of the bodies.
 
-    arm : int
-        Number among the compiled arms.
+    robot : int
+        Number among the compiled robots.
     joint : int
         The joint that moves it, counted from 0.
     row : int
     """
 
-    arm: int
+    robot: int
     joint: int
     row: int
 
@@ -96,9 +96,9 @@ class PlacedGroup(NamedTuple):
     blocks: tuple[PlacedBlock, ...]
 
     def places(self) -> dict[tuple[int, int], int]:
-        """Place in scratch of each arm's joints: four times the row plus the lane."""
+        """Place in scratch of each robot's joints: four times the row plus the lane."""
         return {
-            (branch.arm, joint): LANES * block.row(branch, k) + lane
+            (branch.robot, joint): LANES * block.row(branch, k) + lane
             for block in self.blocks
             for lane, branch in enumerate(block.branches)
             for k, joint in enumerate(branch.joints)
@@ -106,38 +106,38 @@ class PlacedGroup(NamedTuple):
 
 
 def make_tables(
-    structures: Sequence[ArmStructure],
+    structures: Sequence[TreeStructure],
     first_joints: Sequence[int],
     links: Sequence[BodyLink],
     gravity: np.ndarray,
-) -> ArmTables:
-    """Tables of compiled arms.
+) -> RobotTables:
+    """Tables of compiled robots.
 
     Parameters
     ----------
-    structures : sequence of ArmStructure
+    structures : sequence of TreeStructure
     first_joints : sequence of int
-        The first joint of each arm in the stacked vectors.
+        The first joint of each robot in the stacked vectors.
     links : sequence of BodyLink
     gravity : ndarray, shape (3,)
     """
-    carriers = [[link.joint for link in links if link.arm == k] for k in range(len(structures))]
+    carriers = [[link.joint for link in links if link.robot == k] for k in range(len(structures))]
     groups = [_placed(group, carriers) for group in make_groups(structures, carriers)]
     blocks = [block for group in groups for block in group.blocks]
     first_terms, terms = _first_terms(groups)
-    arms = _arm_offsets(groups, first_terms)
+    robots = _robot_offsets(groups, first_terms)
     rows = max(group.blocks[-1].rows for group in groups)
     constants = np.concatenate([_constants(block, structures) for block in blocks])  # (J, 34, 4)
     turns = fields_of(ChainJoint, constants.swapaxes(1, 2)).turns
     bases = [
-        np.stack([structures[branch.arm].translations[0] for branch in block.filled()], axis=-1)
+        np.stack([structures[branch.robot].translations[0] for branch in block.filled()], axis=-1)
         for block in blocks
     ]
-    return ArmTables(
+    return RobotTables(
         blocks=_block_table(groups),
-        groups=_group_table(groups, first_terms, terms, arms, links),
-        arms=np.array(arms, dtype=np.int64),
-        energies=np.concatenate([arm.energy + np.arange(arm.energies) for arm in arms]),
+        groups=_group_table(groups, first_terms, terms, robots, links),
+        robots=np.array(robots, dtype=np.int64),
+        energies=np.concatenate([robot.energy + np.arange(robot.energies) for robot in robots]),
         sources=_integers(np.concatenate([_sources(block, first_joints) for block in blocks])),
         divides=_integers([flag for group in groups for flag in _divides(group)]),
         carries=_integers([slot for block in blocks for slot in _slots(block)]),
@@ -167,7 +167,7 @@ def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
             block.padding(branch) + k
             for branch in branches
             for k, joint in enumerate(branch.joints)
-            if joint in carriers[branch.arm]
+            if joint in carriers[branch.robot]
         }
         # matrices of Coriolis forces begin at the inertia and need more room
         end = max(motions + BODY_WIDTH * len(carries), leaves.inertia + block.columns**2)
@@ -191,41 +191,41 @@ def _rounded_up(count: int) -> int:
 
 
 def _first_terms(groups: Sequence[PlacedGroup]) -> tuple[dict[int, int], int]:
-    """Offset of the terms of each arm, and the number of all terms."""
+    """Offset of the terms of each robot, and the number of all terms."""
     first: dict[int, int] = {}
     end = 0
     for group in groups:
         if group.plain:
             (block,) = group.blocks
             for lane, branch in enumerate(block.branches):
-                first[branch.arm] = end + lane * block.motions
+                first[branch.robot] = end + lane * block.motions
             end += LANES * block.motions
             continue
-        for arm in dict.fromkeys(x.arm for block in group.blocks for x in block.branches):
-            first[arm] = end
-            _, end = _offsets(end, *_sizes_of(group, arm))
+        for robot in dict.fromkeys(x.robot for block in group.blocks for x in block.branches):
+            first[robot] = end
+            _, end = _offsets(end, *_sizes_of(group, robot))
     return first, end + LANES  # for what has no place
 
 
-def _sizes_of(group: PlacedGroup, arm: int) -> tuple[int, int, int]:
-    """Joints of an arm, twice, and the number of its branches that begin at the base."""
-    branches = [x for block in group.blocks for x in block.branches if x.arm == arm]
+def _sizes_of(group: PlacedGroup, robot: int) -> tuple[int, int, int]:
+    """Joints of a robot, twice, and the number of its branches that begin at the base."""
+    branches = [x for block in group.blocks for x in block.branches if x.robot == robot]
     joints = sum(len(x.joints) for x in branches)
     return joints, joints, sum(x.level == 0 for x in branches)
 
 
-def _arm_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> list[TermOffsets]:
-    """Where the terms of each arm are."""
-    arms: dict[int, TermOffsets] = {}
+def _robot_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> list[TermOffsets]:
+    """Where the terms of each robot are."""
+    robots: dict[int, TermOffsets] = {}
     for group in groups:
         for block in group.blocks:
             for x in block.branches:
-                first, padding = first_terms[x.arm], block.padding(x)
+                first, padding = first_terms[x.robot], block.padding(x)
                 if not group.plain:
-                    arms[x.arm], _ = _offsets(first, *_sizes_of(group, x.arm))
+                    robots[x.robot], _ = _offsets(first, *_sizes_of(group, x.robot))
                     continue
                 at, _ = _offsets(first, block.joints, block.joints)
-                arms[x.arm] = at._replace(
+                robots[x.robot] = at._replace(
                     joints=len(x.joints),
                     inertia=at.inertia + padding * (block.joints + 1),
                     jacobian=at.jacobian + JACOBIAN_WIDTH * padding,
@@ -233,7 +233,7 @@ def _arm_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> 
                     gravity_torque=at.gravity_torque + padding,
                     poses=at.poses + POSE_WIDTH * padding,
                 )
-    return [arms[k] for k in range(len(arms))]
+    return [robots[k] for k in range(len(robots))]
 
 
 # --- tables ---------------------------------------------------------------------------------------
@@ -249,7 +249,7 @@ def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
             first_ancestor.append(len(lineage))
             lanes = []
             for x in block.filled():
-                way = [places[x.arm, joint] for joint in x.ancestors]
+                way = [places[x.robot, joint] for joint in x.ancestors]
                 lanes.append(way[:1] * (block.ancestors - len(way)) + way)
             lineage += np.transpose(lanes).astype(int).tolist()
             parents.append([lane[-1] if lane else 0 for lane in lanes])
@@ -277,23 +277,23 @@ def _group_table(
     groups: Sequence[PlacedGroup],
     first_terms: dict[int, int],
     terms: int,
-    arms: Sequence[TermOffsets],
+    robots: Sequence[TermOffsets],
     links: Sequence[BodyLink],
 ) -> Groups:
-    rows = {(link.arm, link.joint): link.row for link in links}
-    runs = [_runs(group, arms) for group in groups]
+    rows = {(link.robot, link.joint): link.row for link in links}
+    runs = [_runs(group, robots) for group in groups]
     motions = [_motions(group, links) for group in groups]
     spare = terms - LANES
     plain = np.array([group.plain for group in groups])
     first = [group.blocks[0] for group in groups]
     bodies = [
-        [rows[x.arm, x.joints[-1]] if group.plain else 0 for x in block.filled()]
+        [rows[x.robot, x.joints[-1]] if group.plain else 0 for x in block.filled()]
         for group, block in zip(groups, first, strict=True)
     ]
     return Groups(
         first_block=_integers(_starts([len(group.blocks) for group in groups])),
         plain=_integers(plain),
-        first_term=np.where(plain, [first_terms[block.branches[0].arm] for block in first], 0),
+        first_term=np.where(plain, [first_terms[block.branches[0].robot] for block in first], 0),
         term_count=np.where(plain, [block.motions for block in first], 0),
         bodies=_integers(bodies),
         terms=_moves([group.terms for group in runs], spare),
@@ -324,17 +324,17 @@ class GroupRuns(NamedTuple):
     coriolis: list[Run]
 
 
-def _runs(group: PlacedGroup, arms: Sequence[TermOffsets]) -> GroupRuns:
-    runs, roots = GroupRuns([], [], []), [0] * len(arms)
+def _runs(group: PlacedGroup, robots: Sequence[TermOffsets]) -> GroupRuns:
+    runs, roots = GroupRuns([], [], []), [0] * len(robots)
     if group.plain:
         return runs
     for block in group.blocks:
         for lane, branch in enumerate(block.branches):
-            leaves, terms = block.leaves, arms[branch.arm]
+            leaves, terms = block.leaves, robots[branch.robot]
             if branch.level == 0:
-                place = terms.energy + roots[branch.arm]
+                place = terms.energy + roots[branch.robot]
                 runs.terms.append(Run(leaves.energy, lane, place, 1))
-                roots[branch.arm] += 1
+                roots[branch.robot] += 1
             for first, joint, count in _in_order(branch):
                 k = block.padding(branch) + first
                 for name, size in (
@@ -425,7 +425,7 @@ def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, i
             row = block.first_link + block.ancestors + k
             source = LANES * (block.motions + BODY_WIDTH * slot)
             for link in links:
-                place = places.get((link.arm, link.joint), -1)
+                place = places.get((link.robot, link.joint), -1)
                 if place // LANES == row:
                     motions.append((source + place % LANES, BODY_WIDTH * link.row))
     return motions
@@ -434,7 +434,7 @@ def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, i
 def _divides(group: PlacedGroup) -> list[bool]:
     """Whether branches begin at the link of each joint of the group's blocks."""
     rows = {
-        group.places()[x.arm, x.ancestors[-1]] // LANES
+        group.places()[x.robot, x.ancestors[-1]] // LANES
         for block in group.blocks for x in block.branches if x.ancestors
     }  # fmt: skip
     return [
@@ -450,19 +450,19 @@ def _slots(block: PlacedBlock) -> list[int]:
 
 
 def _sources(block: PlacedBlock, first_joints: Sequence[int]) -> np.ndarray:
-    """Each lane's joints in the stacked vectors, shape (4 n,); padding reads any of its arm."""
+    """Each lane's joints in the stacked vectors, shape (4 n,); padding reads any of its robot."""
     lanes = [
-        [first_joints[x.arm] + joint for joint in (*[0] * block.padding(x), *x.joints)]
+        [first_joints[x.robot] + joint for joint in (*[0] * block.padding(x), *x.joints)]
         for x in block.filled()
     ]
     return np.transpose(lanes).ravel()
 
 
-def _constants(block: PlacedBlock, structures: Sequence[ArmStructure]) -> np.ndarray:
+def _constants(block: PlacedBlock, structures: Sequence[TreeStructure]) -> np.ndarray:
     """Constants of the lanes of a block, shape (n, 34, 4)."""
     lanes = [
         np.vstack([
-            joints_at_rest(block.padding(x)), chain_joints(structures[x.arm])[list(x.joints)]
+            joints_at_rest(block.padding(x)), chain_joints(structures[x.robot])[list(x.joints)]
         ])
         for x in block.filled()
     ]  # fmt: skip

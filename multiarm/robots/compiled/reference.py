@@ -1,4 +1,4 @@
-"""Pinocchio's terms of an arm, with which its compiled copy is compared."""
+"""Pinocchio's terms of a robot, with which its compiled copy is compared."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from multiarm.robots.terms import LinkPose, LinkTerms
 
 
 def pinocchio_terms(
-    arm: Robot, joints: Sequence[int], angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
+    robot: Robot, joints: Sequence[int], angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
 ) -> list[LinkTerms]:
     """Pinocchio's terms at some states, as copies.
 
     Parameters
     ----------
-    arm : Robot
+    robot : Robot
     joints : sequence of int
         Pinocchio's numbers of the joints whose links are ``LinkTerms.bodies``; 0: the base.
     angles, rates : ndarray, shape (k, n)
         Joint positions [rad or m] and velocities.
     gravity : ndarray, shape (3,)
     """
-    model, near = arm.model.copy(), _near(arm.model)
+    model, near = robot.model.copy(), _near(robot.model)
     model.gravity.linear = np.array(gravity)
     data = model.createData(), near.createData()
     terms = []
     for angle, rate in zip(angles, rates, strict=True):
-        q = arm.configuration(angle)
+        q = robot.configuration(angle)
         coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
         terms.append(_link_terms(model, data[0], q, rate, joints, coriolis))
     return terms

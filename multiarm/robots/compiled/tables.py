@@ -1,13 +1,13 @@
-"""Constants and workspace of compiled arms, trees of :mod:`multiarm.robots.chain`.
+"""Constants and workspace of compiled robots, trees of :mod:`multiarm.robots.chain`.
 
 Branches are batched by four (:mod:`multiarm.robots.compiled.branches`), one in each lane of a SIMD
 pack.  A *block* is as long as the longest of its branches; shorter ones are padded at their
 beginning with joints without motion and mass.  A lane without a branch repeats the first branch of
 its block; what it computes is not used.
 
-Results of a block stand in *leaves*, lanes each.  Those of a block of plain arms are arranged as an
-arm's terms are, and are transposed to them; from other groups every number goes where it belongs by
-a list of *moves*.
+Results of a block stand in *leaves*, lanes each.  Those of a block of plain arms are arranged as
+an arm's terms are, and are transposed to them; from other groups every number goes where it belongs
+by a list of *moves*.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from multiarm.jit.structs import (
 from multiarm.robots.chain import ChainJoint
 from multiarm.robots.terms import LinkPose
 
-# Arms with more joints between base and a link are left to Pinocchio.
+# Robots with more joints between base and a link are left to Pinocchio.
 MOST_JOINTS = 16
 
 
@@ -95,7 +95,7 @@ class Wanted(Numbers):
 
 
 class TermOffsets(NamedTuple):
-    """Where the terms of an arm are among those of all, in numbers; a row of int64.
+    """Where the terms of a robot are among those of all, in numbers; a row of int64.
 
     Of its inertia (n, n), the lower triangle by rows; Jacobian (n, 6), a row a joint; bias and
     gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (n, 12).
@@ -208,18 +208,18 @@ class Groups(NamedTuple):
 
 
 class Sizes(NamedTuple):
-    """Rows of scratch and leaves of the largest group; terms of all arms and four numbers more."""
+    """Rows of scratch and leaves of the largest group; terms of all robots, four numbers more."""
 
     rows: Int
     leaves: Int
     terms: Int
 
 
-class ArmTables(NamedTuple):
-    """Constants of compiled arms; ``b`` blocks, ``J`` joints in all of them, four lanes each.
+class RobotTables(NamedTuple):
+    """Constants of compiled robots; ``b`` blocks, ``J`` joints in all of them, four lanes each.
 
-    arms : int64 (arms, 9)
-        The :class:`TermOffsets` of each arm.
+    robots : int64 (robots, 9)
+        The :class:`TermOffsets` of each robot.
     energies : int64 (e,)
         Offsets of all potential energies.
     sources : int64 (4 J,)
@@ -233,7 +233,7 @@ class ArmTables(NamedTuple):
     constants : (34 * 4 J,)
         Of every :class:`multiarm.robots.chain.ChainJoint`, lanes each.
     bases : (b, 12)
-        Positions of the arms' first joints in the world [m], lanes each.
+        Positions of the robots' first joints in the world [m], lanes each.
     gravity : (3,)
     sizes : Sizes
     wanted : Wanted
@@ -241,7 +241,7 @@ class ArmTables(NamedTuple):
 
     blocks: Blocks
     groups: Groups
-    arms: Ints2
+    robots: Ints2
     energies: Ints1
     sources: Ints1
     divides: Ints1
@@ -254,8 +254,8 @@ class ArmTables(NamedTuple):
     wanted: Wanted
 
 
-class ArmWork(NamedTuple):
-    """State and workspace of compiled arms.
+class RobotWork(NamedTuple):
+    """State and workspace of compiled robots.
 
     angles, rates : (joints,)
         Positions and velocities of the system's joints.
@@ -272,8 +272,8 @@ class ArmWork(NamedTuple):
     leaves : (4 l,)
         Scratch of a group: its blocks' terms and bodies, lanes each.
     terms, coriolis : (t,)
-        Every arm's terms, see :class:`TermOffsets`; matrices of Coriolis forces by columns, at the
-        offsets of the inertias.
+        Every robot's terms, see :class:`TermOffsets`; matrices of Coriolis forces by columns, at
+        the offsets of the inertias.
     """
 
     angles: Floats1
@@ -294,37 +294,37 @@ class ArmWork(NamedTuple):
     coriolis: Floats1
 
 
-_open_tables, _open_work = view(ArmTables), view(ArmWork, count_entries(ArmTables))
+_open_tables, _open_work = view(RobotTables), view(RobotWork, count_entries(RobotTables))
 
 
 @inlined
-def open_arms(struct):
-    """Views ``tables, work`` of the struct of compiled arms."""
+def open_robots(struct):
+    """Views ``tables, work`` of the struct of compiled robots."""
     return _open_tables(struct), _open_work(struct)
 
 
 @kernel
-def energy_of_arms(struct):
-    """Potential energy of all compiled arms [J] at the state of the last sweep."""
-    tables, work = open_arms(struct)
+def energy_of_robots(struct):
+    """Potential energy of all compiled robots [J] at the state of the last sweep."""
+    tables, work = open_robots(struct)
     energy = 0.0
     for k in range(tables.energies.size):
         energy += work.terms[tables.energies[k]]
     return energy
 
 
-def make_terms(tables: ArmTables) -> np.ndarray:
-    """Allocate one number for every term of all arms."""
+def make_terms(tables: RobotTables) -> np.ndarray:
+    """Allocate one number for every term of all robots."""
     return aligned_zeros(tables.sizes.terms)
 
 
 def make_work(
-    tables: ArmTables, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray,
+    tables: RobotTables, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray,
     terms: np.ndarray, coriolis: np.ndarray,
-) -> ArmWork:  # fmt: skip
+) -> RobotWork:  # fmt: skip
     """Allocate the workspace; the other arrays are given."""
     lanes, rows = [aligned_zeros(tables.sources.size) for _ in range(4)], tables.sizes.rows
-    return ArmWork(
+    return RobotWork(
         angles=angles,
         rates=rates,
         bodies=bodies.reshape(-1),
