@@ -160,13 +160,13 @@ def differentiate_contact_forces(data, work, motion, rest, derivatives):
     size, states = wrench.shape
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_arm = block_columns(n, 0)
+        of_block = block_columns(n, 0)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(forces[k])
-            for c in range(of_arm.rates):
-                if of_arm.twists <= c < of_arm.positions:
+            for c in range(of_block.rates):
+                if of_block.twists <= c < of_block.positions:
                     continue  # y is no velocity of the state
-                rate, column = rest.rates[k, c], column_of_state(columns, of_arm, d0, c)
+                rate, column = rest.rates[k, c], column_of_state(columns, of_block, d0, c)
                 forces[k, column] = rate = rate + derivatives.desired[k, column]
                 for l in range(size):
                     wrench[l, column] -= data.rows.W_o[k, l] * rate
@@ -195,11 +195,11 @@ def add_inverse_dynamics(data, work, motion):
     columns = force_columns(data)
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_arm = block_columns(n, 0)
+        of_block = block_columns(n, 0)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
-            for c in range(of_arm.end):
-                slopes[column_of_state(columns, of_arm, d0, c)] += motion.dF[i, j, c]
+            for c in range(of_block.end):
+                slopes[column_of_state(columns, of_block, d0, c)] += motion.dF[i, j, c]
 
 
 @kernel
@@ -210,19 +210,19 @@ def add_motion_derivatives(data, work, i, motion, excess, derivatives):
         work.first_joint[i + 1] - work.first_joint[i],
         work.first_contact[i],
     )
-    m, of_arm, X = work.first_contact[i + 1] - r0, block_columns(n, 0), derivatives.motions
+    m, of_block, X = work.first_contact[i + 1] - r0, block_columns(n, 0), derivatives.motions
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
-        for c in range(of_arm.end):
+        for c in range(of_block.end):
             X[j, c] = -excess.dF[i, j, c]
         for k in range(n):
-            for c in range(of_arm.end):
+            for c in range(of_block.end):
                 X[j, c] += M[j, k] * derivatives.preferred[k, c]
     for k in range(m):
-        for c in range(of_arm.end):
+        for c in range(of_block.end):
             X[n + k, c] = -motion.dF[i, n + k, c]
         for l in range(derivatives.acceleration.shape[0]):
-            for c in range(of_arm.positions):
+            for c in range(of_block.positions):
                 X[n + k, c] -= data.rows.W_o[r0 + k, l] * derivatives.acceleration[l, c]
     if not factor_lu(motion.K[i], n + m, derivatives.pivots) > 0.0:
         return SINGULAR
@@ -231,8 +231,8 @@ def add_motion_derivatives(data, work, i, motion, excess, derivatives):
         slopes = data.slopes.torque[d0 + j]
         for k in range(n):
             inertia = M[j, k]
-            for c in range(of_arm.end):
-                slopes[column_of_state(columns, of_arm, d0, c)] += inertia * X[k, c]
+            for c in range(of_block.end):
+                slopes[column_of_state(columns, of_block, d0, c)] += inertia * X[k, c]
     return OK
 
 

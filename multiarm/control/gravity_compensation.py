@@ -149,11 +149,11 @@ def write_derivatives_at_fixed_multipliers(address, size, at, _t):
             balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        of_arm = block_columns(work.first_joint[i + 1] - d0, 0)
+        of_block = block_columns(work.first_joint[i + 1] - d0, 0)
         for k in range(r0, work.first_contact[i + 1]):
-            for c in range(of_arm.rates):
-                if c < of_arm.twists or c >= of_arm.positions:  # y is no velocity of the state
-                    column = column_of_state(columns, of_arm, d0, c)
+            for c in range(of_block.rates):
+                if c < of_block.twists or c >= of_block.positions:  # y is no velocity of the state
+                    column = column_of_state(columns, of_block, d0, c)
                     add_force_derivative(data, work, i, k, motion.rates[k, c], column)
             for l in range(balance.shape[0]):
                 add_force_derivative(data, work, i, k, data.rows.W_o[k, l], columns.multipliers + l)

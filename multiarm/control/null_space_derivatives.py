@@ -83,35 +83,35 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     size = n + 6 * count_held(i, model, data)
-    of_arm, arm = block_columns(n, 0), open_equations(derivatives.excess)
+    of_block, arm = block_columns(n, 0), open_equations(derivatives.excess)
     M, preferred = open_equations(derivatives.motion).M[i], command.preferred
-    K, X = np.zeros((size, size)), np.zeros((size, of_arm.end))
+    K, X = np.zeros((size, size)), np.zeros((size, of_block.end))
     pivots = np.zeros(size, dtype=np.int64)
     for j in range(n):
         damped = -law.free_rate * data.state.joint_rates[d0 + j]
         arm.v[d0 + j], arm.a_j[d0 + j] = 0.0, preferred[d0 + j] - damped
         for k in range(n):
             K[j, k] = M[j, k]
-            X[j, of_arm.rates + k] = -law.free_rate * M[j, k]
+            X[j, of_block.rates + k] = -law.free_rate * M[j, k]
     write_object(data, AT_REST, AT_REST, arm)
-    subtract_torque_slopes(i, of_arm, command, model, data, derivatives, X)
+    subtract_torque_slopes(i, of_block, command, model, data, derivatives, X)
     for j in range(n):
         arm.a_j[d0 + j] = preferred[d0 + j]
     if not feedforward:
-        subtract_slopes(i, of_arm, 1.0, 0.0, 0.0, model, data, derivatives, X)
+        subtract_slopes(i, of_block, 1.0, 0.0, 0.0, model, data, derivatives, X)
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
     write_object(data, data.state.object_twist, command.acceleration, arm)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
-        i, of_arm, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X
+        i, of_block, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X
     )
     write_jacobians(i, n, model, data, derivatives, K)
     if not factor_lu(K, size, pivots) > 0.0:
         return SINGULAR
     solve_rows(K, size, pivots, X)
     for j in range(n):
-        for c in range(of_arm.end):
+        for c in range(of_block.end):
             derivatives.preferred[j, c] = X[j, c]
     return OK
 
@@ -137,25 +137,25 @@ def write_held(i, link, derivatives):
 
 
 @kernel
-def subtract_torque_slopes(i, of_arm, command, model, data, derivatives, X):
+def subtract_torque_slopes(i, of_block, command, model, data, derivatives, X):
     """Subtract the derivatives of ``M (p - p_0) - J^T kappa`` from the rows of the joints."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    n = of_arm.rates - of_arm.positions
+    n = of_block.rates - of_block.positions
     write_links(i, data, derivatives)
     for c in range(model.connections.block.size):
         if holds_pose(c, i, model, data):
             link = joint_that_moves(model.connections.first[c], model)
             write_held(i, link, derivatives)
             frame, multipliers = model.joint_frames[c], command.held[c]
-            subtract_wrench_slopes(i, link, of_arm, frame, multipliers, derivatives, X)
+            subtract_wrench_slopes(i, link, of_block, frame, multipliers, derivatives, X)
     write_inverse_dynamics(links, i, arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
-            X[j, of_arm.positions + k] -= arm.by_q[j, k]
+            X[j, of_block.positions + k] -= arm.by_q[j, k]
 
 
 @kernel
-def subtract_wrench_slopes(i, link, of_arm, frame, multipliers, derivatives, X):
+def subtract_wrench_slopes(i, link, of_block, frame, multipliers, derivatives, X):
     """Subtract the derivatives of ``-J^T kappa`` of a link whose wrench stays in the object's axes.
 
     Its change with the link, on which it is a load, is that of the inverse dynamics;
@@ -166,10 +166,10 @@ def subtract_wrench_slopes(i, link, of_arm, frame, multipliers, derivatives, X):
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
-    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_first[of_arm.end])
-    subtract_load(link, arm.on_first[of_arm.end], arm.links)
-    for c in range(of_arm.rates):
-        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
+    put_wrench(frame, rotate_back(R, force), rotate_back(R, moment), arm.on_first[of_block.end])
+    subtract_load(link, arm.on_first[of_block.end], arm.links)
+    for c in range(of_block.rates):
+        write_column_displacement(bodies, of_block.end, of_block, c, relative, arm)
         turn = open_displacement(arm.scratch[OF_SEEN]).turn
         opposite = rotate_back(R, cross(turn, force)), rotate_back(R, cross(turn, moment))
         put_wrench(frame, opposite[0], opposite[1], arm.on_first[c])
@@ -184,26 +184,26 @@ def put_wrench(frame, force, moment, out):
 
 
 @kernel
-def subtract_slopes(i, of_arm, of_acceleration, rate, stiffness, model, data, derivatives, X):
+def subtract_slopes(i, of_block, of_acceleration, rate, stiffness, model, data, derivatives, X):
     """Subtract the derivatives of e of all held connections from their rows, after the joints'.
 
     Accelerations are multiplied by ``of_acceleration``.
     """
-    at = of_arm.rates - of_arm.positions
+    at = of_block.rates - of_block.positions
     write_links(i, data, derivatives)
     for c in range(model.connections.block.size):
         if holds_pose(c, i, model, data):
             link = joint_that_moves(model.connections.first[c], model)
             write_held(i, link, derivatives)
             subtract_slopes_of(
-                link, of_arm, model.joint_frames[c], of_acceleration, rate, stiffness,
+                link, of_block, model.joint_frames[c], of_acceleration, rate, stiffness,
                 derivatives, X[at : at + 6],
             )  # fmt: skip
             at += 6
 
 
 @allocating
-def subtract_slopes_of(link, of_arm, frame, of_acceleration, rate, stiffness, derivatives, X):
+def subtract_slopes_of(link, of_block, frame, of_acceleration, rate, stiffness, derivatives, X):
     """Subtract the derivatives of e of one connection from its rows ``X`` (6, C)."""
     arm, frames, turn_rate = (
         open_equations(derivatives.excess), open_frames(frame), np.empty(3)
@@ -221,15 +221,15 @@ def subtract_slopes_of(link, of_arm, frame, of_acceleration, rate, stiffness, de
     theta = rotate(G, rotation_vector(turned))
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     bodies = link, OBJECT
-    for c in range(of_arm.end):
-        write_column_displacement(bodies, of_arm.end, of_arm, c, relative, arm)
+    for c in range(of_block.end):
+        write_column_displacement(bodies, of_block.end, of_block, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
         velocity = add_cross(add_cross(displacement.velocity, dw, m), w, dm)
         write_chart_rate(theta, displacement.turn, turn_rate)
         slide = add_scaled(scale(rate, velocity), stiffness, add(displacement.shift, dm))
         turn = add_scaled(scale(rate, dw), stiffness, vec(turn_rate, 0))
         a, alpha = displacement.acceleration, displacement.spin_rate
-        if c < of_arm.positions:  # the acceleration that is commanded to the object changes too
+        if c < of_block.positions:  # the acceleration that is commanded to the object changes too
             a_o = (commanded[0, c], commanded[1, c], commanded[2, c])
             alpha_o = rotate_back(R_o, (commanded[3, c], commanded[4, c], commanded[5, c]))
             a = sub(a, add_cross(rotate_back(R_o, a_o), alpha_o, seen.origin))

@@ -206,14 +206,14 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_arm, columns = block_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
-    for c in range(of_arm.rates):
-        if of_arm.twists <= c < of_arm.positions:
+    of_block, columns = block_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
+    for c in range(of_block.rates):
+        if of_block.twists <= c < of_block.positions:
             continue
-        column = column_of_state(columns, of_arm, d0, c)
+        column = column_of_state(columns, of_block, d0, c)
         for l in range(left.size):
             left[l] = excess.dF_o[l, column]
-        if 3 <= c < of_arm.twists:
+        if 3 <= c < of_block.twists:
             put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
             put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
         for k in range(r1 - r0):

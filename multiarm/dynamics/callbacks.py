@@ -210,7 +210,7 @@ class DenseSolver:
     Attributes
     ----------
     reactions : tuple of ndarray, optional
-        With sliding friction: the object's rows (N, 6) and the arms' matrices (n, d, m) of the
+        With sliding friction: the object's rows (N, 6) and the blocks' matrices (n, d, m) of the
         contact forces.  None: contact forces act along the constraints, as in projections.
     """
 
@@ -223,24 +223,24 @@ class DenseSolver:
         """Solve once."""
         b, work = self._data.arrays, self._data.work
         dofs = work.first_joint
-        arms = range(len(dofs) - 1)
-        inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in arms]
+        blocks = range(len(dofs) - 1)
+        inertias = [read_inertia(b.bodies.pointers[i], dofs[i + 1] - dofs[i]) for i in blocks]
         terms = b.bodies.object_inertia, b.rows.W_o, work.W, b.rows.c, b.forces.f
         b.dense.status, b.status.block = _status_of(b.bodies.object_inertia, inertias, terms)
         if b.dense.status != OK:
             return
-        W_o, W = _by_arm(work, b.rows.W_o, work.W)
+        W_o, W = _by_block(work, b.rows.W_o, work.W)
         reaction_o, reaction = (None, None)
         if self.reactions is not None:
-            reaction_o, reaction = _by_arm(work, *self.reactions)
+            reaction_o, reaction = _by_block(work, *self.reactions)
         solution = solve_dense(
             M_o=b.bodies.object_inertia,
             f_o=b.forces.f_o,
             M=inertias,
-            f_j=[b.forces.f_j[dofs[i] : dofs[i + 1]] for i in arms],
+            f_j=[b.forces.f_j[dofs[i] : dofs[i + 1]] for i in blocks],
             W_o=W_o,
             W=W,
-            c=[b.rows.c[work.first_contact[i] : work.first_contact[i + 1]] for i in arms],
+            c=[b.rows.c[work.first_contact[i] : work.first_contact[i + 1]] for i in blocks],
             reaction_o=reaction_o,
             reaction=reaction,
             tolerance=b.dense.tolerance,
@@ -255,8 +255,8 @@ class DenseSolver:
         b.deficient.undetermined[list(solution.undetermined_blocks)] = 1
 
 
-def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple[list, list]:
-    sizes = zip(on_arms, np.diff(work.first_joint), np.diff(work.first_contact), strict=True)
+def _by_block(work: NodeWork, on_object: np.ndarray, on_blocks: np.ndarray) -> tuple[list, list]:
+    sizes = zip(on_blocks, np.diff(work.first_joint), np.diff(work.first_contact), strict=True)
     blocks = [matrix[:d, :m] for matrix, d, m in sizes]
     bounds = itertools.pairwise(work.first_contact)
     return [on_object[first:end].T for first, end in bounds], blocks
@@ -265,7 +265,7 @@ def _by_arm(work: NodeWork, on_object: np.ndarray, on_arms: np.ndarray) -> tuple
 def _status_of(
     object_inertia: np.ndarray, inertias: list[np.ndarray], terms: tuple[np.ndarray, ...]
 ) -> tuple[int, int]:
-    """Why the equations cannot be solved, and the arm of ``BLOCK_INERTIA, BLOCK_NOT_FINITE``."""
+    """Why the equations cannot be solved, and the block of ``BLOCK_INERTIA, BLOCK_NOT_FINITE``."""
     if not np.all(np.diag(object_inertia) > 0.0):
         return OBJECT_INERTIA, 0
     for i, inertia in enumerate(inertias):

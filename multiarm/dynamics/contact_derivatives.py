@@ -70,13 +70,13 @@ VALUE = TWIST
 # Rows of scratch: displacements of both bodies, and of the first as the second sees it; its seen
 # motion, as it is and displaced; the second's, at rest.
 OF_FIRST, OF_SECOND, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
-# Bodies that no joint of the arm moves: the base, and with it the world; the object.
+# Bodies that no joint of the block moves: the base, and with it the world; the object.
 BASE, OBJECT = -1, -2
 
 
 @kernel
 def differentiate_connection(model, data, rows, bodies, placement, columns, gaps, work):
-    """Write what the equations of an arm take from rows between two bodies.
+    """Write what the equations of a block take from rows between two bodies.
 
     By the C coordinates of :class:`multiarm.dynamics.coordinates.BlockColumns`.
 
@@ -139,8 +139,8 @@ def write_column_displacement(bodies, placement, columns, c, seen, work):
 def write_body_displacement(body, columns, c, moved, out):
     """Write how a body is displaced in a column.
 
-    ``body`` is the joint of the arm that moves it, counted from 0, ``BASE`` or ``OBJECT``;
-    ``moved`` (2 n, 18) has the displacements by the arm's joints.
+    ``body`` is the joint of the block that moves it, counted from 0, ``BASE`` or ``OBJECT``;
+    ``moved`` (2 n, 18) has the displacements by the block's joints.
     """
     clear(out)
     if c < columns.positions:

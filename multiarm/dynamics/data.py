@@ -113,7 +113,7 @@ class SharedData:
         )
         self.arrays = v = make_variables(sizes, pointers)
         v.control.sampling.mode = mode_of_samples(model)
-        arms = self._backends.connect(
+        functions = self._backends.connect(
             v.state.joint_positions,
             v.state.joint_rates,
             v.bodies.pinocchio_configuration,
@@ -121,10 +121,10 @@ class SharedData:
             v.bodies.links,
             v.status,
         )
-        self.callbacks: dict[str, GuardedCall] = {**arms.callbacks}
+        self.callbacks: dict[str, GuardedCall] = {**functions.callbacks}
         self.calls: WeakSet[GuardedCall] = WeakSet(self.callbacks.values())
         compiled = {name: address_of(function) for name, function in model.functions.items()}
-        for name, address in (arms.addresses | compiled).items():
+        for name, address in (functions.addresses | compiled).items():
             setattr(v.functions, name, address)
         for name, function in model.lazy_functions.items():
             place, flag = (FUNCTIONS, Functions.place(name)), (STATUS, Status.place("failed"))
@@ -398,7 +398,7 @@ class Data:
         Raises
         ------
         ModelError
-            For a state of a system with other arms.
+            For a state of a system with other robots.
         """
         require_same_joints(state, self.model.layout)
         b = self.arrays

@@ -9,7 +9,7 @@ The equations of motion are :math:`F(x, y) = 0` for the unknowns :math:`y = (\do
     F_{\varphi i} &= \ddot\varphi_i = W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i .
 
 By the implicit function theorem :math:`dy = -K^{-1}\, \partial F`, where K has the matrices of the
-evaluation itself.  Each arm is solved on its own, and then the object:
+evaluation itself.  Each block is solved on its own, and then the object:
 
 .. math::
     \begin{bmatrix} M_i & -W_i \\ W_i^T & 0 \end{bmatrix}
@@ -19,8 +19,8 @@ evaluation itself.  Each arm is solved on its own, and then the object:
 
 The right-hand sides at fixed y come from
 
-* the inverse dynamics of each arm under the wrench of its contacts, and the motion of the link that
-  carries the tip (:mod:`multiarm.robots.derivatives`);
+* the inverse dynamics of each block under the wrench of its contacts, and the motion of the link
+  that carries the tip (:mod:`multiarm.robots.derivatives`);
 * the contact rows, as functions of the link's motion seen from the object
   (:mod:`multiarm.dynamics.contact_derivatives`).
 
@@ -30,8 +30,8 @@ responses of ``y`` to these are columns of the same solution, so that
 the last factor from :mod:`multiarm.dynamics.force_derivatives`.
 
 *Parameters.*  A wrench on the object, its mass and its inertia enter :math:`F_o` alone.  Contacts
-that are displaced against the arm's link move like that link for the rows, while their wrench still
-acts on the link where it is.
+that are displaced against the block's link move like that link for the rows, while their wrench
+still acts on the link where it is.
 """
 
 from __future__ import annotations
@@ -88,12 +88,12 @@ def differentiate(
     equations = _Equations(data, parameters, columns)
     dependent, message = layout.contacts - evaluation.rank, ""
     independent = dependent == 0
-    by_arms = independent and _stand_alone(data)
+    by_blocks = independent and _stand_alone(data)
     matrix = np.zeros((rows["effect_state_rates"].stop, equations.width))
     solved = matrix[: rows["effect_state_rates"].start]
     motions = equations.motions(independent)
     admissible = None if independent else motions().admissible()
-    if not (by_arms and equations.solve_by_blocks(solved)):
+    if not (by_blocks and equations.solve_by_blocks(solved)):
         solved[:] = equations.solve_whole(admissible)
     applied = applied_derivatives(data, closed_loop)  # control may solve equations of its own
     if applied is not None:
@@ -118,9 +118,9 @@ def differentiate(
 
 
 def _stand_alone(data: Data) -> bool:
-    """Whether the equations of every arm, of those of the last solution, are regular on their own.
+    """Whether the equations of every block, as in the last solution, are regular on their own.
 
-    With friction arms are coupled without being counted where all constraints are independent.
+    With friction blocks are coupled without being counted where all constraints are independent.
     """
     elimination = data.arrays.solution.elimination
     if elimination == Elimination.FRICTION:
@@ -139,13 +139,13 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.block, strict=True):
-        d0, of_arm = layout.first_joint_of_block[i], block_columns(layout.joint_counts[i], 0)
-        places = [column_of_state(of_all, of_arm, d0, c) for c in range(of_arm.end)]
-        turn[places] = angle[: of_arm.end]
+        d0, of_block = layout.first_joint_of_block[i], block_columns(layout.joint_counts[i], 0)
+        places = [column_of_state(of_all, of_block, d0, c) for c in range(of_block.end)]
+        turn[places] = angle[: of_block.end]
         if "placements" in columns and i in layout.blocks_of_robots:
             owners = np.flatnonzero(np.equal(layout.block_of, i))
             first, size = columns["placements"].start + 6 * owners[0], 6 * len(owners)
-            turn[first : first + size] = angle[of_arm.end : of_arm.end + size]
+            turn[first : first + size] = angle[of_block.end : of_block.end + size]
     if not derivatives.motions.independent:
         turns[:, :states] = turns[:, :states] @ derivatives.motions.admissible()
     friction = np.array([friction_of_unit_force(slides, s) for s in range(slides.row.size)])
@@ -178,7 +178,7 @@ class _Equations:
         self._update()
 
     def solve_by_blocks(self, matrix: np.ndarray) -> bool:
-        """Write ``dy``, shape (6 + n + N, columns), arm by arm; False where that is singular.
+        """Write ``dy``, shape (6 + n + N, columns), block by block; False where that is singular.
 
         It takes the place of the derivatives of F, which are restored where it fails.
         """
@@ -188,7 +188,7 @@ class _Equations:
         return solved
 
     def solve_whole(self, admissible: np.ndarray | None) -> np.ndarray:
-        """``dy`` with arms that cannot be solved on their own.
+        """``dy`` with blocks that cannot be solved on their own.
 
         By displacements of the state that are projected by a matrix on those that keep the joints
         closed, as dependent constraints are solvable for these only; None: by all.

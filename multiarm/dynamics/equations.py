@@ -5,12 +5,12 @@ r"""The equations of motion of a compiled scene, evaluated in compiled code.
     M_o \dot v_o = f_o + \sum_i W_{oi} \lambda_i, \qquad
     W_{oi}^T \dot v_o + W_i^T \ddot q_i = c_i
 
-(thesis, 4.9; arms ``i``, object ``o``, contact forces :math:`\lambda`).  An evaluation has three
+(thesis, 4.9; blocks ``i``, object ``o``, contact forces :math:`\lambda`).  An evaluation has three
 parts, all in world axes:
 
 .. code-block:: text
 
-    kinematics        positions, velocities -> M, b, J of arms and object -> W_o, W, c, phi
+    kinematics        positions, velocities -> M, b, J of blocks and object -> W_o, W, c, phi
     right_hand_sides  control, effects -> f_j, c
     solve             node algorithm -> accelerations, contact forces
 
@@ -31,7 +31,7 @@ from multiarm.dynamics.arrays import (
     open_system,
 )
 from multiarm.dynamics.kinematics import (
-    arm_terms,
+    block_terms,
     constraint_matrices,
     contact_rows,
     load_inertia,
@@ -75,7 +75,7 @@ def evaluate_state(struct: INTS, alpha: NUMBER, beta: NUMBER):
 def evaluate_projected(struct: INTS, alpha: NUMBER, beta: NUMBER):
     """:func:`evaluate_state` right after its velocities have been projected.
 
-    The configuration is the same: arms that were eliminated by directions keep their factors.
+    The configuration is the same: blocks that were eliminated by directions keep their factors.
     """
     status, data = write_equations(struct, alpha, beta), open_data(struct)
     if status != OK:
@@ -106,9 +106,9 @@ def write_equations(struct: INTS, alpha: NUMBER, beta: NUMBER):
 
 @kernel
 def update_kinematics(struct: INTS):
-    """Terms of arms and object, and all contact rows, at the state in ``data``.
+    """Terms of blocks and object, and all contact rows, at the state in ``data``.
 
-    Writes the inertias to ``work.M`` and the arms' rows to ``work.W``.  Returns ``OK`` or
+    Writes the inertias to ``work.M`` and the blocks' rows to ``work.W``.  Returns ``OK`` or
     ``CALLBACK_FAILED``.
     """
     return call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
@@ -130,7 +130,7 @@ def kinematics(address, size, _a, _b):
     """Compute what :func:`update_kinematics` describes."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    arm_terms(model, data, work)
+    block_terms(model, data, work)
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)
@@ -286,7 +286,7 @@ def drift_terms(data, alpha, beta):
 
 @cfunc
 def solve(address, size, gap, _b):
-    """Solve as :func:`solve_frictionless` describes: four arms at a time, else arm by arm."""
+    """Solve as :func:`solve_frictionless` describes: four blocks at a time, else block by block."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.dense:
@@ -318,9 +318,9 @@ def call_dense_solver(function, data, W_o, gap):
 
 @cfunc
 def solve_deficient(address, size, gap, _b):
-    """Solve a system with deficient arms, arm by arm; returns a status.
+    """Solve a system with deficient blocks, block by block; returns a status.
 
-    Where the residual of the object's equation is too large, no arm is eliminated as a whole.
+    Where the residual of the object's equation is too large, no block is eliminated as a whole.
     """
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
@@ -334,7 +334,7 @@ def solve_deficient(address, size, gap, _b):
 
 @cfunc
 def solve_again(address, size, _a, _b):
-    """Solve with the factors of the last solution, which eliminated some arms by directions.
+    """Solve with the factors of the last solution, which eliminated some blocks by directions.
 
     Returns a status.
     """
@@ -348,7 +348,7 @@ def solve_again(address, size, _a, _b):
 
 @cfunc
 def solve_decomposed(address, size, gap, _b):
-    """Solve a system with no arm eliminated as a whole; returns a status."""
+    """Solve a system with no block eliminated as a whole; returns a status."""
     struct = struct_at(address, size)
     _, data, work = open_system(struct)
     return solve_coupled_blocks(data, work, open_coupled(struct), True, gap)
@@ -356,7 +356,7 @@ def solve_decomposed(address, size, gap, _b):
 
 @kernel
 def solve_coupled_blocks(data, work, coupled, decompose_all, gap):
-    """Eliminate and couple all arms at the kinematics in ``data``; returns a status."""
+    """Eliminate and couple all blocks at the kinematics in ``data``; returns a status."""
     status, data.status.block = eliminate_blocks(work, data.rows.W_o)
     if status != OK:
         return status
@@ -372,7 +372,7 @@ def solve_coupled_blocks(data, work, coupled, decompose_all, gap):
 
 @kernel
 def solve_factored(data, work, coupled):
-    """Solve for the right-hand sides in ``data`` with the factors of coupled arms."""
+    """Solve for the right-hand sides in ``data`` with the factors of coupled blocks."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     solve_coupled(
         work, coupled, forces.f_o, forces.f_j, rows.c,
@@ -383,7 +383,7 @@ def solve_factored(data, work, coupled):
 
 @inlined
 def write_coupled_solution(data, coupled):
-    """What the solver of deficient arms has found out; all arms may turn out to be regular."""
+    """What the solver of deficient blocks has found out; all blocks may turn out to be regular."""
     status = coupled.status
     if status.blocks == 0:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
@@ -420,14 +420,14 @@ def write_general_rows(address, size, _a, _b):
 
 @kernel
 def potential_energy(struct: INTS):
-    """Potential energy of arms and object [J] at the last evaluated state, zero at the origin."""
+    """Potential energy of robots and object [J] at the last evaluated state, zero at the origin."""
     model, data, _ = open_system(struct)
     functions, energy = data.functions, 0.0
     for k in range(3):
         energy -= model.object_mass * model.gravity[k] * data.state.object_pose[k]
     if functions.robots != 0:
-        arms = struct_at(functions.robots_struct, functions.robots_size)
-        energy += energy_of_robots(arms)
+        robots = struct_at(functions.robots_struct, functions.robots_size)
+        energy += energy_of_robots(robots)
     if functions.pinocchio_energy != 0:
         call_python(functions.pinocchio_energy)
         energy += data.status.potential_energy

@@ -88,7 +88,7 @@ def residuals_of(
 
 
 def _residuals(check: Check) -> Residuals:
-    return Residuals(check.arm, check.on_object, check.constraint)
+    return Residuals(check.block, check.on_object, check.constraint)
 
 
 class Snapshot:

@@ -10,9 +10,9 @@ multipliers of a law (:mod:`multiarm.dynamics.control_laws`).
 *Differences* (:mod:`multiarm.geometry.stencils`) are of order four, or of order one where many
 evaluations cost more than an error is worth; those by the time look forward, with order two.  An
 actuator is displaced along the derivatives of the torques that come to it.  Where forces are
-*local*, those on an arm by its own state and those on the object by the object's, joint number j of
-all arms is displaced at once.  Functions of users know the state alone: for them no kinematics are
-computed.
+*local*, those on a block by its own state and those on the object by the object's, joint number j
+of all blocks is displaced at once.  Functions of users know the state alone: for them no kinematics
+are computed.
 
 *Powers* are those of the forces, :math:`f\cdot v`, so that their derivatives follow by the product
 rule.
@@ -83,7 +83,7 @@ CONTROL = -1
 class ForceDifferences(Numbers):
     """How forces are differentiated, and those by differences that have no derivatives."""
 
-    local: Flag  # each arm by its own state, the object by its own
+    local: Flag  # each block by its own state, the object by its own
     laws: Int  # control laws, the first ones
     follows: Flag  # the torques of the laws follow the state, they are not held
     order: Int  # 1 or 4
@@ -348,7 +348,7 @@ def clear_slopes(model, data, work, local, table, first):
 
 @inlined
 def clear_columns(at, begin, end, row):
-    """Write zeros into the columns of an arm's joints, of the object, and of what follows."""
+    """Write zeros into the columns of a block's joints, of the object, and of what follows."""
     clear(row[: at.positions])
     clear(row[at.positions + begin : at.positions + end])
     clear(row[at.rates + begin : at.rates + end])
@@ -527,7 +527,7 @@ def read_forces(data, torques, joints, out):
 def choose_columns(differences, column, model, data, work, columns, direction):
     """Write which positions and velocities are displaced, and the column of each row, -1 without.
 
-    It is one column, or, where forces are local, a joint's of the longest arm and those of the
+    It is one column, or, where forces are local, a joint's of the longest block and those of the
     joints of this number of all others.  Returns False for columns that come with others.
     """
     at, places = force_columns(data), chart_places(data)

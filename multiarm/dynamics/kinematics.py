@@ -45,7 +45,7 @@ from multiarm.spatial import rotation_of, write_matrix
 
 @inlined
 def fill_configuration(model, data):
-    """Write Pinocchio's configuration from the positions of its arms' joints and bases."""
+    """Write Pinocchio's configuration from the positions of its robots' joints and bases."""
     for j in range(data.state.joint_positions.size):
         slot = model.q_slots[j]
         if slot < 0:
@@ -104,12 +104,12 @@ def turn_base_terms(b, model, data, work):
 
 
 @inlined
-def arm_terms(model, data, work):
+def block_terms(model, data, work):
     """All terms of the robots, and the motion of the links that carry their tips."""
     functions = data.functions
     if functions.robots != 0:
-        arms = struct_at(functions.robots_struct, functions.robots_size)
-        call_cfunc(functions.robots, arms, 0.0, 0.0)
+        robots = struct_at(functions.robots_struct, functions.robots_size)
+        call_cfunc(functions.robots, robots, 0.0, 0.0)
     if functions.pinocchio != 0:
         fill_configuration(model, data)
         call_python(functions.pinocchio)
@@ -177,14 +177,14 @@ def constraint_matrices(model, data, work):
     """Rows of ``W_o``, and ``W`` of every block, from the kinematics of the contacts."""
     for c in range(model.connections.block.size):
         if model.connections.serial[c]:
-            rows_of_arm(c, model, data, work)
+            rows_of_serial_block(c, model, data, work)
         else:
             rows_of_connection(c, model, data, work)
     write_joint_rows(model, data, work)
 
 
 @inlined
-def rows_of_arm(c, model, data, work):
+def rows_of_serial_block(c, model, data, work):
     """``W_o`` and ``W`` of a connection of a link that all joints of its block move."""
     i = model.connections.block[c]
     d = work.first_joint[i + 1] - work.first_joint[i]
@@ -192,7 +192,7 @@ def rows_of_arm(c, model, data, work):
     m, before = data.rows.first[c + 1] - first, first - work.first_contact[i]
     bodies, on_object = data.bodies, is_object(model.connections.second[c], data)
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
-    x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.arm_wrenches
+    x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.block_wrenches
     for k in range(m):
         row = open_contact(data.rows.kinematics[first + k])
         e, p, couple = row.normal, row.point, row.couple

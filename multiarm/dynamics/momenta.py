@@ -2,7 +2,7 @@ r"""Momenta and kinetic energy: what the inertias make of velocities.
 
 .. math:: p = M v, \qquad T = \tfrac12 v^T M v
 
-with the object's inertia :math:`M_o` and those of the arms :math:`M_i` at the kinematics in the
+with the object's inertia :math:`M_o` and those of the blocks :math:`M_i` at the kinematics in the
 data, in world axes.
 """
 
@@ -23,7 +23,7 @@ def times_object_inertia(k, data, x):
 
 @inlined
 def times_block_inertia(i, j, work, x):
-    """Entry of ``M_i x_i`` for joint ``j`` of arm ``i``; ``x`` has all joints."""
+    """Entry of ``M_i x_i`` for joint ``j`` of block ``i``; ``x`` has all joints."""
     first, product = work.first_joint[i], 0.0
     for k in range(work.first_joint[i + 1] - first):  # the lower triangle is filled
         product += work.M[i, max(j, k), min(j, k)] * x[first + k]
@@ -45,7 +45,7 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
 
 @kernel
 def kinetic_energy(data, work):
-    """Kinetic energy of arms and object [J] at the last evaluated state."""
+    """Kinetic energy of robots and object [J] at the last evaluated state."""
     twist, rates, energy = data.state.object_twist, data.state.joint_rates, 0.0
     for k in range(twist.size):
         energy += 0.5 * twist[k] * times_object_inertia(k, data, twist)

@@ -5,7 +5,8 @@ r"""Residuals of the equations of motion: how well accelerations and contact for
     M_o \dot v_o - f_o - \sum_i W_{oi} \lambda_i, \qquad
     W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i
 
-of arms, object and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the data.
+of blocks, object and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the
+data.
 :func:`write_residuals` has all three, as a result states them; :func:`constraint_residual` and
 :func:`imbalance` are relative to the largest term, and decide whether a solution is one.
 """
@@ -32,7 +33,7 @@ def write_residuals(
     force: NUMBERS,
     c: NUMBERS,
 ):
-    """Write the largest residuals of arms, object and constraints into ``data.check``.
+    """Write the largest residuals of blocks, object and constraints into ``data.check``.
 
     Of accelerations (6 + n,) and contact forces (N,), with the right-hand sides
     ``generalised_forces`` (6 + n,) and ``c`` (N,).
@@ -43,14 +44,14 @@ def write_residuals(
     copy(generalised_forces, forces)
     add_contact_forces(work, data.rows.W_o, work.W, force, forces[:first], forces[first:])
     check = data.check
-    check.arm = check.on_object = check.constraint = 0.0
+    check.block = check.on_object = check.constraint = 0.0
     for k in range(first):
         residual = times_object_inertia(k, data, a_o) - forces[k]
         check.on_object = larger(check.on_object, residual)
     for i in range(work.first_joint.size - 1):
         for j in range(work.first_joint[i + 1] - work.first_joint[i]):
             residual = times_block_inertia(i, j, work, a) - forces[first + work.first_joint[i] + j]
-            check.arm = larger(check.arm, residual)
+            check.block = larger(check.block, residual)
         for row in range(work.first_contact[i], work.first_contact[i + 1]):
             residual = rate_by_object(row, data, a_o) + rate_by_block(i, row, work, a) - c[row]
             check.constraint = larger(check.constraint, residual)
@@ -67,7 +68,7 @@ def rate_by_object(row, data, a_o):
 
 @inlined
 def rate_by_block(i, row, work, a):
-    """``W^T a`` of a row of arm ``i``."""
+    """``W^T a`` of a row of block ``i``."""
     rate = 0.0
     for j in range(work.first_joint[i + 1] - work.first_joint[i]):
         rate += work.W[i, j, row - work.first_contact[i]] * a[work.first_joint[i] + j]
@@ -96,12 +97,12 @@ def constraint_residual(model, data, work):
     for i in range(work.first_joint.size - 1):
         for row in range(work.first_contact[i], work.first_contact[i + 1]):
             by_object = rate_by_object(row, data, data.accelerations.a_o)
-            by_arm, c = rate_by_block(i, row, work, data.accelerations.a_j), data.rows.c[row]
-            residual = abs(by_object + by_arm - c)
+            by_block, c = rate_by_block(i, row, work, data.accelerations.a_j), data.rows.c[row]
+            residual = abs(by_object + by_block - c)
             if residual != residual:
                 return residual
             worst = max(worst, residual)
-            scale = max(scale, abs(by_object), abs(by_arm), abs(c))
+            scale = max(scale, abs(by_object), abs(by_block), abs(c))
     return worst / scale
 
 

@@ -91,7 +91,7 @@ class RowSelection(Data):
         layout, constants = self.model.layout, self.model.constants
         table = constants.contacts
         parts = count_parts(table.codes, layout.contacts)
-        # arms with more contacts than joints are in no group
+        # blocks with more contacts than joints are in no group
         joints, contacts = layout.joint_counts, layout.contact_counts
         groups = make_work(joints, np.minimum(joints, contacts).tolist()).groups
         constants = constants._replace(contacts=empty_table(layout.contacts + parts, table.shapes))
@@ -233,12 +233,12 @@ def write_selection(
     select_rows(constants.contacts, rows, model.contacts)
     select_joint_rows(model.contacts.codes, work.first_contact, work.first_joint, model.joint_rows)
     write_groups(order, work)
-    # no result of other rows is left; columns of W beyond an arm's rows are zero
+    # no result of other rows is left; columns of W beyond a block's rows are zero
     for k in range(rows.size):
         clear(data.rows.kinematics[k])
         clear(data.rows.W_o[k])
-    for k in range(data.rows.arm_wrenches.shape[0]):
-        clear(data.rows.arm_wrenches[k])
+    for k in range(data.rows.block_wrenches.shape[0]):
+        clear(data.rows.block_wrenches[k])
     for k in range(data.rows.parts.shape[0]):
         clear(data.rows.parts[k])
     clear(data.rows.c)

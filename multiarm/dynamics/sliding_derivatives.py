@@ -41,7 +41,7 @@ from multiarm.jit.structs import Floats2, Ints1, referenced, struct_of, view
 
 
 class FrictionDerivatives(NamedTuple):
-    """Results for s sliding contacts, by the C coordinates of the arms of these."""
+    """Results for s sliding contacts, by the C coordinates of the blocks of these."""
 
     equations: Ints1  # struct of the derivatives of what forces in the tangents do to the bodies
     angle: Floats2  # (s, C) of psi [rad]

@@ -36,7 +36,7 @@ class Status(Numbers):
     answer: Int  # that this returned
     position_change: Float  # largest change of a coordinate by the last projection [m, rad]
     velocity_change: Float  # the same of the velocities [m/s, rad/s]
-    potential_energy: Float  # of Pinocchio's arms [J], at samples only
+    potential_energy: Float  # of Pinocchio's robots [J], at samples only
 
 
 class DenseCall(Numbers):
@@ -49,7 +49,7 @@ class DenseCall(Numbers):
 class Check(Numbers):
     """Largest residuals of a result, see :mod:`multiarm.dynamics.residuals`."""
 
-    arm: Float  # of the arms' equations [N m, N]
+    block: Float  # of the blocks' equations [N m, N]
     on_object: Float  # [N, N m]
     constraint: Float  # [m/s^2]
     gap: Float  # [m]
@@ -118,7 +118,7 @@ class Rows(NamedTuple):
     c: Floats1  # (N,) right-hand sides of the constraints
     force: Floats1  # (N,) contact forces, positive = pushing
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
-    arm_wrenches: Floats2  # (6, N) scratch: wrenches on one robot about the world's origin
+    block_wrenches: Floats2  # (6, N) scratch: wrenches on one block about the world's origin
     about_joint: Floats1  # (6,) scratch: a row of W_o about the origin of a joint's frame
 
 
@@ -132,7 +132,7 @@ class StepSolution(Numbers):
     margin: Float
     residual: Float
     correction: Float  # largest change of the state by projection [m, rad; m/s, rad/s]
-    changes: Int  # of the rank and of deficient arms, since the step before
+    changes: Int  # of the rank and of deficient blocks, since the step before
 
 
 class StepEnd(NamedTuple):
@@ -176,7 +176,7 @@ class ControlVariables(NamedTuple):
     """What control laws read and write, beside the state."""
 
     torque: Floats1  # (joints,) of the drives
-    power: Floats1  # (n,) of these torques on each arm [W], in models with control
+    power: Floats1  # (n,) of these torques on each robot [W], in models with control
     sampling: SamplingStatus
     held_torques: (
         Floats2  # (2, joints) of a control that can be held: those that act, the last ones
@@ -231,7 +231,7 @@ class DeficientBlocks(NamedTuple):
 
 
 class JointMotion(NamedTuple):
-    """The relative motion that one joint leaves free, of the arm that was evaluated last."""
+    """The relative motion that one joint leaves free, of the owner that was evaluated last."""
 
     rates: Floats1  # (6,)
     coordinates: Floats1  # (9,) see multiarm.contacts.joint
@@ -269,9 +269,9 @@ class Functions(Numbers):
     solve: Int
     solve_frictionless: Int  # the same without friction, for impulses and projections
     project_state: Int  # onto the constraints
-    coupled: Int  # the system with deficient arms
-    decomposed: Int  # the same with no arm eliminated as a whole
-    solve_again: Int  # the system with deficient arms, its factors known
+    coupled: Int  # the system with deficient blocks
+    decomposed: Int  # the same with no block eliminated as a whole
+    solve_again: Int  # the system with deficient blocks, its factors known
     command: Int  # torques of the control laws, with unilateral contacts
     general_rows: Int  # those that are not in closed form
     near_singular: Int  # an evaluation near a loss of rank
@@ -286,7 +286,7 @@ class Functions(Numbers):
     robots_struct: Int
     robots_size: Int
     # Python
-    pinocchio: Int  # terms of its arms
+    pinocchio: Int  # terms of its robots
     pinocchio_energy: Int
     control: Int
     dense: Int
@@ -474,5 +474,5 @@ def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of :class:`Rows` with an entry for every row."""
     return {
         "kinematics": (rows, CONTACT_WIDTH), "W_o": (rows, 6), "c": (rows,), "force": (rows,),
-        "static_force": (rows,), "arm_wrenches": (6, rows),
+        "static_force": (rows,), "block_wrenches": (6, rows),
     }  # fmt: skip

@@ -110,7 +110,7 @@ class ModeSizes(NamedTuple):
     rows, slides, guards : int64 (k,)
         Of those with an entry for every held row, sliding contact and guard.
     reactions : int64 (k,)
-        Of those that depend on the rows of each arm, in the order of their shapes.
+        Of those that depend on the rows of each block, in the order of their shapes.
     """
 
     rows: np.ndarray

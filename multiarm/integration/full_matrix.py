@@ -1,4 +1,4 @@
-r"""The matrix of a Rosenbrock method's stages for a whole system, where arms do not stand alone.
+r"""The matrix of a Rosenbrock method's stages for a whole system, where blocks do not stand alone.
 
 With velocities and states of effects :math:`v`, the derivatives of their rates :math:`J_p, J_v` by
 positions and by these, and R and the right-hand sides of :mod:`multiarm.integration.rosenbrock`,
@@ -36,7 +36,7 @@ Elsewhere the derivatives are differences of whole evaluations: where constraint
 since accelerations are interpolated there from six states, and where contacts slide while stages
 are projected.  They are central in the positions, on which everything depends in the most curved
 way, and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n)
-evaluations for n joints of all arms, one for each state of an effect, and two more, for the time,
+evaluations for n joints of all blocks, one for each state of an effect, and two more, for the time,
 where there is control or an effect.
 """
 
@@ -258,13 +258,13 @@ def add_friction_power(struct, full):
     first = data.state.velocity.size + data.effects.states.size
     for s in range(slides.row.size):
         i, mu, row = slides.block[s], slides.mu[s], slides.row[s]
-        of_arm = block_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
+        of_block = block_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
         pull = mu * data.rows.force[row]
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):
             full.row[c] *= mu * slides.speed[s]
-        for c in range(of_arm.end):
-            column = column_of_state(columns, of_arm, work.first_joint[i], c)
+        for c in range(of_block.end):
+            column = column_of_state(columns, of_block, work.first_joint[i], c)
             full.row[column] += pull * friction.speed[s, c]
         for power in (slides.numbers.power, data.effects.power.size - 1):
             of_power = full.applied[first + power]

@@ -60,7 +60,7 @@ def evaluate_on_branch(struct, gap_tolerance, projected, alpha, beta):
 
 @cfunc
 def evaluate_near_singular(address, size, alpha, beta):
-    """Continue an evaluation in which some arms are deficient, see :func:`evaluate_on_branch`."""
+    """Continue an evaluation in which some blocks are deficient, see :func:`evaluate_on_branch`."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
     if model.calls_user or not may_cross(data):

@@ -14,8 +14,8 @@ semi-implicit Euler, 2 for explicit Euler and 2.79 for RK4; ``FEEDBACK_RATIO`` i
 
 Wheels hold velocities and not positions: they take no part in the first one.
 Both are the node system with other right-hand sides (``f = 0``, ``c = -\varphi`` or
-``-\dot\varphi``), so that each costs as much as an evaluation and stays linear in the arms.  Of
-deficient arms the factors for the velocities serve the evaluation that follows, too.
+``-\dot\varphi``), so that each costs as much as an evaluation and stays linear in the blocks.  Of
+deficient blocks the factors for the velocities serve the evaluation that follows, too.
 Where the constraints lose rank, small gaps that no motion closes to first order (a flat
 parallelogram, redundant contacts) are left.  Constraints that depend on each other on the joints
 only (a loop of Bricard's) are independent off them, by as little as the gaps are large: the rank
@@ -91,7 +91,7 @@ def project_positions(
     tolerance : float
         Largest gap that is accepted [m].
     hold_object : bool
-        Move the arms only.
+        Move the robots only.
     longest : float
         Longest change of one joint in one iteration [rad, m]; longer steps are shortened.
     iterations : int

@@ -18,17 +18,17 @@ and powers need derivatives; the positions' rates are known.  At the beginning o
 chart's rotation vectors are zero, they are ``B p + v`` with ``B = blkdiag(0, [omega]x / 2, 0)``,
 and so :math:`R = (1/\gamma - hB)^{-1}` is written down.
 
-Where control and effects are local, gravity compensation besides, the system falls apart into arms,
-at a cost that is linear in them (:mod:`multiarm.integration.block_matrices`).  Elsewhere it is one
-matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of arms grows the
-cost of its derivatives, with the cube that of its factors; for few arms both are small.
+Where control and effects are local, gravity compensation besides, the system falls apart into
+blocks, at a cost that is linear in them (:mod:`multiarm.integration.block_matrices`).  Elsewhere it
+is one matrix (:mod:`multiarm.integration.full_matrix`): with the square of the number of blocks
+grows the cost of its derivatives, with the cube that of its factors; for few blocks both are small.
 
 *The derivatives* are exact with either, and take one evaluation, that of the beginning; a step that
 was rejected leaves its own to the next one, which begins there too.  A law or effect that states no
 derivative is differentiated by differences, which compute its forces and the kinematics that these
-need: n of the longest arm twice where it is local, twelve and twice n of all arms elsewhere, and
-none for a function of a user, which knows the state alone.  Whole evaluations are differentiated
-where constraints nearly lose rank.
+need: n of the longest block twice where it is local, twelve and twice n of all blocks elsewhere,
+and none for a function of a user, which knows the state alone.  Whole evaluations are
+differentiated where constraints nearly lose rank.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ def differentiate_step(step, work, blocks, full, t, h):
 
 @kernel
 def differentiate_anew(step, work, blocks, full, t, h):
-    """Derivatives at the beginning of the step, arm by arm where possible; returns a status."""
+    """Derivatives at the beginning of the step, block by block where possible; returns a status."""
     work.derived.block_by_block = False
     status = slope_at(step, t, step.z, work.right)
     if status != OK:

@@ -107,11 +107,11 @@ class Clock(Numbers):
     control_due: Float  # time of the next sample of the control [s]; infinite: there is none
     control_samples: Int  # number of the next one, from the beginning
     cause: Int  # why the last step was rejected
-    coupled_steps: Int  # steps that ended with deficient arms
+    coupled_steps: Int  # steps that ended with deficient blocks
     ambiguous_steps: Int  # steps at whose end friction left the motion open
     lowest_rank: Int
     highest_rank: Int
-    solver_changes: Int  # of rank or of deficient arms, that Python has not logged yet
+    solver_changes: Int  # of rank or of deficient blocks, that Python has not logged yet
     reports: Int  # guards that report an event in the last step, that Python has not logged yet
     retry_steps: Int  # steps still to be made with projected stages
     stiff_steps: Int  # steps limited by stiffness
