@@ -329,7 +329,7 @@ def test_sixty_four_arms_of_two_joints_meet_in_a_system_of_rank_six():
     make_consistent(system, np.random.default_rng(4))
     node = solved(system)
     s = node.coupled.status
-    assert (s.arms, s.unknowns, s.movable, s.rank) == (64, 4 * 64, 0, 6)
+    assert (s.blocks, s.unknowns, s.movable, s.rank) == (64, 4 * 64, 0, 6)
     assert node.rank == 2 * 64 + 6
     M, f_j, W, c = stacked(system)
     assert relative(W.T @ node.x, c) < 1e-10
