@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.errors import SceneError
-from multiarm.robots import arm as arms_room
+from multiarm.robots import robot as robot_module
 from multiarm.scene import find_robot, load_scene, read_urdf
 from multiarm.viewer.animate import animate, lowest
 from multiarm.viewer.robot_bodies import WHITE
@@ -140,7 +140,9 @@ def test_energy_counts_each_arm_once_and_the_trunk_never(moving):
 
 def test_a_file_is_read_once(monkeypatch):
     reads, read = [], pin.buildModelFromUrdf
-    monkeypatch.setattr(arms_room.pin, "buildModelFromUrdf", lambda f: reads.append(f) or read(f))
+    monkeypatch.setattr(
+        robot_module.pin, "buildModelFromUrdf", lambda f: reads.append(f) or read(f)
+    )
     arms_room._read.cache_clear()
     ma.compile_system(load_scene(EXAMPLE))
     assert len(reads) == 1

@@ -254,7 +254,7 @@ def test_a_system_like_another_is_the_one_that_is_compiled_anew(monkeypatch):
     def never(*_):
         raise AssertionError("an arm that did not change is not made anew")
 
-    monkeypatch.setattr("multiarm.assembly.robots._make_arm", never)
+    monkeypatch.setattr("multiarm.assembly.robots._make_robot", never)
     monkeypatch.setattr("multiarm.assembly.robots.resolve_arm", never)
     monkeypatch.setattr("multiarm.assembly.joints._make_joint", never)
     like = ma.compile_system(heavier, like=system)
