@@ -130,7 +130,7 @@ def one_arm_a_group(n, d, N):
     fields_of(BlockGroup, group).first[:] = arms * (one.tables.size // LANES)
     groups = one._replace(
         group=group,
-        arms=np.repeat(lanes, LANES, axis=1),
+        blocks=np.repeat(lanes, LANES, axis=1),
         joint_index=one.joint_index + d * lanes,
         contact_index=one.contact_index + N * lanes,
         contact_present=np.repeat(one.contact_present, n, axis=0),

@@ -143,7 +143,7 @@ def test_a_file_is_read_once(monkeypatch):
     monkeypatch.setattr(
         robot_module.pin, "buildModelFromUrdf", lambda f: reads.append(f) or read(f)
     )
-    arms_room._read.cache_clear()
+    robot_module._read.cache_clear()
     ma.compile_system(load_scene(EXAMPLE))
     assert len(reads) == 1
 
