@@ -133,7 +133,9 @@ class DrakePlant:
         constants = system.model.constants
         plant.mutable_gravity_field().set_gravity_vector(constants.gravity)
         try:
-            inertia = _inertia(float(constants.object_mass), np.zeros(3), constants.object_inertia)
+            inertia = _inertia(
+                constants.object_masses[0], np.zeros(3), constants.object_inertias[0]
+            )
             body = plant.AddRigidBody("object", inertia)
             joints = {joint.arm: joint for joint in system.scene.joints}
             for name, first in zip(system.arm_names, system.model.layout.first_joint, strict=False):

@@ -91,10 +91,12 @@ def build(system: System, state: State) -> Coefficients:
             (terms.M, -terms.bias, G.T @ wrench, -terms.J.T @ wrench, [c], terms.J, wrench, G)
         )
     plant = system.model.constants
-    inertia = R @ plant.object_inertia @ R.T
+    inertia = R @ plant.object_inertias[0] @ R.T
     M_o = np.zeros((6, 6))
-    M_o[:3, :3], M_o[3:, 3:] = plant.object_mass * np.eye(3), inertia
-    f_o = np.concatenate([plant.object_mass * plant.gravity, -np.cross(omega, inertia @ omega)])
+    M_o[:3, :3], M_o[3:, 3:] = plant.object_masses[0] * np.eye(3), inertia
+    f_o = np.concatenate(
+        [plant.object_masses[0] * plant.gravity, -np.cross(omega, inertia @ omega)]
+    )
     return Coefficients(M_o, f_o, *(np.array(column) for column in zip(*rows, strict=True)))
 
 

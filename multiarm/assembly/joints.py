@@ -64,7 +64,11 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
     shared, specs = {}, {joint.connection: joint for joint in scene.joints}
     if like is not None:
         # a joint without ``at`` is where its bodies are at the start
-        moved = scene.object.pose != like.scene.object.pose
+        poses, of_like = (
+            {name: body.pose for name, body in of_scene.all_objects.items()}
+            for of_scene in (scene, like.scene)
+        )
+        moved = poses != of_like
         joints_of_like = {joint.connection: joint for joint in like.scene.joints}
         for name, joint in specs.items():
             placed = joint.at is not None or not moved
@@ -105,7 +109,7 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> S
     records = _bilateral(blocks, around, contacts, of_joints)
     if unilateral is not None:
         records = unilateral.records
-    layout = _layout(robots, blocks, connections, records)
+    layout = _layout(tuple(scene.all_objects), robots, blocks, connections, records)
     on_links, owners = {}, layout.owners
     for owner in owners:
         on_links[owner] = records[owner]
@@ -171,6 +175,7 @@ def scene_blocks(
 
 
 def _layout(
+    objects: tuple[str, ...],
     robots: Robots,
     blocks: Sequence[Block],
     connections: Mapping[str, Connection],
@@ -190,6 +195,7 @@ def _layout(
     of_owners = [block_of.get(name, rows_of_joints.get(name, len(blocks))) for name in owners]
     surroundings = [0] if len(blocks) in of_owners else []
     return Layout(
+        objects=objects,
         names=tuple(robots.by_name),
         first_joint=_bounds([arm.dof for arm in robots.by_name.values()]),
         first_joint_of_block=_bounds([*(len(block.joints) for block in blocks), *surroundings]),

@@ -73,7 +73,7 @@ class Linkage:
     arms : sequence of int
         Blocks whose rows belong to it: those of robots that may move, and the surroundings.
     with_object : bool
-        Whether the object may move.
+        Whether the objects may move.
     limits : ndarray, shape (n, 2)
         Of all joints of the system; infinite where there are none.
     every_row : bool
@@ -83,7 +83,7 @@ class Linkage:
 
     Attributes
     ----------
-    joints : ndarray of int, shape (k or k - 6,)
+    joints : ndarray of int, shape (k or k - 6 F,)
         Places of the joints that may move in the stacked vectors.
     unit : ndarray, shape (k,)
         One unit of ``u`` in radians or metres.
@@ -108,7 +108,8 @@ class Linkage:
         units = np.array(data.model.joint_units)
         self.unit = np.where(units[self.joints] == "m", self.size, 1.0)
         if with_object:
-            self.unit = np.concatenate([[self.size] * 3, [1.0] * 3, self.unit])
+            of_object = [self.size] * 3 + [1.0] * 3
+            self.unit = np.concatenate([of_object * self._layout.frames, self.unit])
         table = data.model.constants.contacts
         codes = fields_of(Code, table.codes[: work.first_contact[-1]])
         holds = every_row | ~rolls(codes.kind)
@@ -227,16 +228,26 @@ class Linkage:
 
 
 def scene_size(data: Data) -> float:
-    """Characteristic length of the scene [m]: of its lever arms, its object and its arms."""
+    """Characteristic length of the scene [m]: of its lever arms, its objects and its robots."""
     arrays, constants = data.arrays, data.model.constants
     places = arrays.rows.kinematics[~rows_of_joints(data.model), :3]
-    levers = places - arrays.state.object_pose[:3]
+    levers = places[:, None] - arrays.state.poses[:, :3]
+    levers = levers[_objects_of_rows(data.model)[~rows_of_joints(data.model)]]
     origins = fields_of(BodyMotion, arrays.bodies.links).origin
     robots = [robot for robot, _ in data.model.backends.links]
     reaches = origins - _places_of_bases(data)[robots]
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
-    gyration = constants.object_inertia.trace() / constants.object_mass
-    return math.sqrt(max(*squares, gyration))
+    gyrations = np.trace(constants.object_inertias, axis1=1, axis2=2) / constants.object_masses
+    return math.sqrt(max(*squares, *gyrations))
+
+
+def _objects_of_rows(model: Model) -> np.ndarray:
+    """Which objects the connection of each row has; all of one that has none, bool (N, F)."""
+    layout, pairs = model.layout, model.constants.connections
+    numbers = len(model.backends.links) + np.arange(layout.frames)
+    of_owners = (pairs.first[:, None] == numbers) | (pairs.second[:, None] == numbers)
+    of_owners[~of_owners.any(axis=1)] = True
+    return np.repeat(of_owners, np.diff(layout.first_contact), axis=0)
 
 
 def projection_tolerance(data: Data, size: float | None = None) -> float:

@@ -18,7 +18,7 @@ from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
 from multiarm.control.program import ControlProgram
 from multiarm.dynamics.arrays import COUPLED, Constants, FloatingBases, FreeComponents, TipFrame
-from multiarm.dynamics.connections import BodyTable, Connection, Connections
+from multiarm.dynamics.connections import BodyTable, Connection, Connections, surroundings_of
 from multiarm.dynamics.control_laws import NO_CONTROL, are_differentiable, law_table
 from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.equations import (
@@ -29,6 +29,7 @@ from multiarm.dynamics.equations import (
     solve_again,
     solve_decomposed,
     solve_deficient,
+    solve_several,
     write_general_rows,
 )
 from multiarm.dynamics.held_control import with_held_control
@@ -41,11 +42,12 @@ from multiarm.integration.near_singular import evaluate_near_singular
 from multiarm.integration.projection import project_state
 from multiarm.integration.reporting_guards import check_reports, reporting_guards
 from multiarm.integration.step import watch_stage
+from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import as_row, width
 from multiarm.robots.backends import Backends
 from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 # Functions of an evaluation: compiled at once, and when first called.
 FUNCTIONS = {
@@ -85,12 +87,14 @@ def uncontrolled_model(
     outlines = {name: robot.joints for name, robot in robots.resolved.items()}
     context = BuildContext(scene, by_name, layout, outlines)
     effects = effect_program(context, unilateral_kernels(unilateral, layout.rate_count))
-    of_robots = {name: on_link for name, on_link in rows.on_links.items() if name != SURROUNDINGS}
+    of_robots = {
+        name: on_link for name, on_link in rows.on_links.items() if not of_surroundings(name)
+    }
     enforced = frozenset() if unilateral is None else unilateral.enforced
     limits = {name: joint.limits for name, joint in joints.items()}
     frames = {name: joint.frame for name, joint in joints.items()}
     bodies = BodyTable(by_name, backends.links, layout)
-    connections = bodies.connections(rows.connections)
+    connections = bodies.connections(rows.connections | surroundings_of(layout.objects))
     guards = reporting_guards(of_robots, limits, layout, connections, effects.watched, enforced)
     return Model(
         robots=by_name,
@@ -107,13 +111,20 @@ def uncontrolled_model(
         effects=effects,
         effect_links=tuple(context.links),
         levers=tuple(_levers(by_name, rows.connections, frames, layout)),
-        functions=FUNCTIONS | REPORT_FUNCTIONS if guards else FUNCTIONS,
+        functions=_functions(layout) | (REPORT_FUNCTIONS if guards else {}),
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
         pair_places=np.zeros((len(rows.packed.table.shapes), 3)),
         unilateral=unilateral,
         guards=guards,
     )
+
+
+def _functions(layout: Layout) -> dict[str, Kernel]:
+    """``FUNCTIONS``; with several objects the node has more unknowns than a constant tells."""
+    if layout.frames == 1:
+        return FUNCTIONS
+    return FUNCTIONS | {"solve": solve_several, "solve_frictionless": solve_several}
 
 
 def with_joint_frames(model: Model, frames: Mapping[str, JointFrame]) -> Model:
@@ -181,8 +192,8 @@ def _constants(
         floating_bases=_floating_bases(rows.layout, backends),
         links=bodies.links(),
         connections=connections,
-        object_mass=float(scene.object.mass),
-        object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
+        object_masses=np.array([body.mass for body in scene.all_objects.values()]),
+        object_inertias=np.array([body.inertia_matrix() for body in scene.all_objects.values()]),
         gravity=gravity_of(scene),
         control=NO_CONTROL,
         sampled=NO_CONTROL,

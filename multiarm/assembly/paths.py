@@ -62,8 +62,8 @@ def _joint_path(data: Data, state: State, times: list[float], poses: list[np.nda
     constants = data.model.constants
     heavy = data.view(  # an object that the projection does not move
         data.model.with_constants(
-            object_mass=1e8 * constants.object_mass,
-            object_inertia=1e8 * constants.object_inertia,
+            object_masses=1e8 * constants.object_masses,
+            object_inertias=1e8 * constants.object_inertias,
         )
     )
     segments = []

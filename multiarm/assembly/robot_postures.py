@@ -35,7 +35,7 @@ from multiarm.geometry.records import basis
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import TreeStructure
 from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import counted, shown
 
 # Connections of which a message tells how far they are from closed.
@@ -231,8 +231,8 @@ def target_of(scene: Scene, joint: JointSpec, arm: Robot) -> Target:
     turn[:3, :3] = basis(joint.z_axis)
     at_first = joint.on_first.matrix() @ joint.start_shift() @ turn
     at_second = joint.at.matrix() @ turn
-    if joint.second == OBJECT:
-        at_second = scene.object.pose.matrix() @ at_second
+    if joint.second.is_object:
+        at_second = scene.all_objects[joint.second.tip].pose.matrix() @ at_second
     first, second = (
         _link_frame(arm, body, pose)
         for body, pose in ((joint.first, at_first), (joint.second, at_second))

@@ -97,9 +97,9 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     energy_lost = _close_rates(data, size)
     start = data.get_state()
     displacement = np.abs(written.displacement_to(start))
-    moved, shift = layout.joint_rates(displacement), layout.twists(displacement)[0]
+    moved, shifts = layout.joint_rates(displacement), layout.twists(displacement)
     faster = np.abs(start.velocity - written.velocity)
-    of_object, at_limit = layout.twists(faster)[0], joints_at_limit(data)
+    of_objects, at_limit = layout.twists(faster), joints_at_limit(data)
     joint_changes, base_shifts, base_turns = _changes(layout, displacement)
     rate_changes, base_velocity_changes, base_spin_changes = _changes(layout, faster)
     before = dict(
@@ -115,14 +115,14 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         base_shifts=base_shifts,
         base_turns=base_turns,
         object_held=held,
-        object_shift=float(np.linalg.norm(shift[:3])),
-        object_turn=float(np.linalg.norm(shift[3:])),
+        object_shift=largest_norm(shifts[:, :3]),
+        object_turn=largest_norm(shifts[:, 3:]),
         at_limit=at_limit,
         pushed_to_limit={name: before[name] for name in at_limit if moves[name] > MOVED},
         outside_limits=outside,
         velocity_change=float(np.max(faster)),
-        object_velocity_change=float(np.linalg.norm(of_object[:3])),
-        object_spin_change=float(np.linalg.norm(of_object[3:])),
+        object_velocity_change=largest_norm(of_objects[:, :3]),
+        object_spin_change=largest_norm(of_objects[:, 3:]),
         joint_velocity_change=max(rate_changes.values(), default=0.0),
         base_velocity_changes=base_velocity_changes,
         base_spin_changes=base_spin_changes,
@@ -130,14 +130,23 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
     )
 
 
+def largest_norm(vectors: np.ndarray) -> float:
+    """Length of the longest of some vectors, shape (k, 3)."""
+    return float(np.linalg.norm(vectors, axis=1).max())
+
+
 def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     """The start as written in the scene, before it is assembled."""
-    pose = scene.object.pose.matrix()
     state = State(np.zeros(layout.nq), np.zeros(layout.nv), layout)
-    state.object_position[:] = pose[:3, 3]
-    state.object_quaternion_xyzw[:] = matrix_to_quaternion(pose[:3, :3])
-    if scene.object.twist is not None:
-        state.object_twist[:] = scene.object.twist
+    for name, motion in state.objects.items():
+        body = scene.all_objects[name]
+        pose = body.pose.matrix()
+        motion.position[:], motion.quaternion_xyzw[:] = (
+            pose[:3, 3],
+            matrix_to_quaternion(pose[:3, :3]),
+        )
+        if body.twist is not None:
+            motion.twist[:] = body.twist
     for name, robot in robots.resolved.items():
         state.joint_positions[name][:] = robots.postures[name]
         state.joint_velocities[name][:] = robot.velocity

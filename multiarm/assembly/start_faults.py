@@ -21,12 +21,12 @@ from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
 from multiarm.geometry.records import Contact
 from multiarm.scene import Scene
 from multiarm.scene.faults import counted
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 
 def inside(data: Data, constraint: Constraint, depth: float) -> str:
     """The fault of a contact or joint that is beyond what it may reach, by ``depth`` [m, rad]."""
-    if constraint.owner == SURROUNDINGS:
+    if of_surroundings(constraint.owner):
         return (
             f"at the start '{constraint.name}' of the object is below the floor by {depth:.3g} m; "
             "correct 'object.pose', or the surfaces"

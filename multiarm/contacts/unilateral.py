@@ -21,7 +21,7 @@ import numpy as np
 
 from multiarm.contacts.table import JointRow, Record, WheelRow
 from multiarm.geometry.records import Contact
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
 
@@ -175,7 +175,7 @@ class RowBuilder:
     def add_contact(self, contact: Contact, parameters: ContactParameters | None) -> None:
         """A contact, bilateral without parameters."""
         row = self._add(contact)
-        if self.owner != SURROUNDINGS:
+        if not of_surroundings(self.owner):
             self.model.append(row)
         if parameters is None:
             self.bilateral.append(row)

@@ -78,7 +78,7 @@ def gravity_compensation(address, size, _at, _t):
     model, data, work = open_system(struct_at(address, size))
     torque, weight = data.control.torque, data.control.object_wrench
     for k in range(3):
-        weight[k] = -model.object_mass * model.gravity[k]
+        weight[k] = -model.object_masses[0] * model.gravity[k]
         weight[3 + k] = 0.0
     static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):

@@ -29,7 +29,7 @@ import numpy as np
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import JOINT, open_code
-from multiarm.dynamics.kinematics import is_object, write_connection_motion
+from multiarm.dynamics.kinematics import object_of, write_connection_motion
 from multiarm.dynamics.solver.bounds import IMMOVABLE
 from multiarm.dynamics.solver.factors import factor_cholesky, forward_columns, solve_semidefinite
 from multiarm.jit.kernels import allocating, clear, copy, inlined, kernel
@@ -113,7 +113,7 @@ def holds_pose(c, i, model, data):
     """Whether owner ``c`` of rows connects a link of block ``i`` with the object."""
     pairs = model.connections
     moves = pairs.first[c] < data.bodies.links.shape[0]
-    return pairs.block[c] == i and moves and is_object(pairs.second[c], data)
+    return pairs.block[c] == i and moves and object_of(pairs.second[c], data) >= 0
 
 
 @kernel
@@ -184,7 +184,7 @@ def write_pose_target(c, law, acceleration, feedforward, model, data, target):
     """
     bodies, frames = data.bodies, open_frames(model.joint_frames[c])
     first, stiffness, rate = model.connections.first[c], law.free_stiffness, law.free_rate
-    link, body = open_body(bodies.motion[first]), open_body(bodies.object)
+    link, body = open_body(bodies.motion[first]), open_body(bodies.objects[0])
     rates, places = np.empty(6), np.empty(9)
     write_connection_motion(model, data, c, rates, places)
     R_J = compose(body.rotation, frames.on_object)

@@ -101,7 +101,7 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
         subtract_slopes(i, of_block, 1.0, 0.0, 0.0, model, data, derivatives, X)
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
-    write_object(data, data.state.object_twist, command.acceleration, arm)
+    write_object(data, data.state.twists[0], command.acceleration, arm)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
         i, of_block, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X

@@ -75,7 +75,7 @@ def computed_torque(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     state, control, wrench = data.state, data.control, data.control.object_wrench
     desired, target = command.acceleration, command.target
-    write_object_acceleration(t, law, state.object_pose, state.object_twist, desired)
+    write_object_acceleration(t, law, state.poses[0], state.twists[0], desired)
     for a in range(wrench.size):
         wrench[a] = -data.forces.f_o[a]
         for b in range(desired.size):
@@ -100,9 +100,9 @@ def object_impedance(address, size, at, t):
     model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
     state, control, wrench = data.state, data.control, data.control.object_wrench
-    write_spring_wrench(t, law, state.object_pose, state.object_twist, wrench)
+    write_spring_wrench(t, law, state.poses[0], state.twists[0], wrench)
     for k in range(3):
-        wrench[k] -= model.object_mass * model.gravity[k]
+        wrench[k] -= model.object_masses[0] * model.gravity[k]
     write_contact_forces(law, data)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
@@ -148,7 +148,7 @@ def write_contact_forces(law, data):
     wrench, rows = data.control.object_wrench, data.rows
     if law.squeezes:
         distribute_wrench(
-            wrench, rows.W_o, rows.first, data.bodies.object, law.forces_of_contacts,
+            wrench, rows.W_o, rows.first, data.bodies.objects[0], law.forces_of_contacts,
             law.wrenches_of_connections, rows.static_force,
         )  # fmt: skip
     else:

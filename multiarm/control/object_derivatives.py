@@ -74,10 +74,10 @@ def write_computed_torque_derivatives(address, size, at, t):
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    write_object(data, data.state.object_twist, command.acceleration, motion)
+    write_object(data, data.state.twists[0], command.acceleration, motion)
     status = differentiate_bodies(struct, derivatives.motion)
     add_object_equation(
-        data.bodies.object_inertia, data.state.object_twist, command.acceleration, motion
+        data.bodies.object_inertia, data.state.twists[0], command.acceleration, motion
     )
     if status == OK:
         status = differentiate_torques(law, command, True, struct, model, data, work, derivatives)
@@ -165,7 +165,7 @@ def subtract_presses(law, data, wrench):
     """Subtract what the forces with which connections press put on the object."""
     world, y = np.empty(6), np.empty(6)
     for c in range(law.wrenches_of_connections.shape[0]):
-        if pressing_wrench(data.bodies.object, law.wrenches_of_connections[c], world):
+        if pressing_wrench(data.bodies.objects[0], law.wrenches_of_connections[c], world):
             W_o = data.rows.W_o[data.rows.first[c] : data.rows.first[c + 1]]
             write_multipliers(W_o, world, y)
             for k in range(W_o.shape[0]):
@@ -191,7 +191,7 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
     """
     excess = open_equations(derivatives.excess)
     world, y, left = np.empty(6), np.empty(6), np.empty(6)
-    if not pressing_wrench(data.bodies.object, law.wrenches_of_connections[owner], world):
+    if not pressing_wrench(data.bodies.objects[0], law.wrenches_of_connections[owner], world):
         return OK
     r0, r1, i = data.rows.first[owner], data.rows.first[owner + 1], model.connections.block[owner]
     W_o, d0 = data.rows.W_o[r0:r1], work.first_joint[i]
@@ -229,7 +229,7 @@ def differentiate_acceleration(t, law, data, acceleration):
     """Write the derivatives of the object's acceleration by its pose and twist (6, 12)."""
     twists = force_columns(data).twists
     _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
+    turned, by_turn = rotation_between(data.state.poses[0][3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     for k in range(3):
         acceleration[k, k] = -law.stiffness[k]
@@ -244,7 +244,7 @@ def differentiate_spring_wrench(t, law, data, wrench):
     """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
     twists = force_columns(data).twists
     _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.state.object_pose[3:7], quaternion), np.empty((3, 3))
+    turned, by_turn = rotation_between(data.state.poses[0][3:7], quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     for k in range(3):

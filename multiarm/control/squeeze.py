@@ -22,7 +22,6 @@ from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
-from multiarm.scene.bodies import OBJECT
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl
 
 # Of a pressing force, the part that a joint may lose along its free motions.
@@ -91,7 +90,7 @@ def _holding(model: Model) -> list[str]:
 
 def _require_pressing(data: Data, W_o: np.ndarray, of_connections: np.ndarray) -> None:
     """Raise an error for a squeeze along a joint's free motion."""
-    model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.object).rotation
+    model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.objects[0]).rotation
     for name in _holding(model):
         c = model.layout.owners.index(name)
         rows, wrench = W_o[model.layout.contacts_of(c)], of_connections[c]
@@ -156,4 +155,4 @@ def _towards_the_middle(model: Model) -> np.ndarray:
 def _grip(model: Model, connection: str) -> np.ndarray:
     """Origin of a joint's frame on the object, in its axes, shape (3,) [m]."""
     frame, pair = model.frames[connection], model.connections[connection]
-    return (frame.on_tip if pair.first == OBJECT else frame.on_object)[:3, 3]
+    return (frame.on_tip if pair.first.is_object else frame.on_object)[:3, 3]

@@ -23,9 +23,9 @@ from multiarm.jit.pointers import call_cfunc
 from multiarm.jit.rows import Rotation, Vector, row_of
 from multiarm.jit.structs import (
     Flag,
-    Float,
     Floats1,
     Floats2,
+    Floats3,
     Int,
     Ints1,
     Ints2,
@@ -106,8 +106,8 @@ class Constants(NamedTuple):
     joint_frames: Floats2  # (C, 24), see multiarm.contacts.joint
     tip_frames: Floats2  # (C, 12), of :class:`TipFrame`, of the first bodies
     free: FreeComponents
-    object_mass: Float  # [kg]
-    object_inertia: Floats2  # (3, 3) about the centre of mass, object axes [kg m^2]
+    object_masses: Floats1  # (F,) [kg]
+    object_inertias: Floats3  # (F, 3, 3) about the centres of mass, object axes [kg m^2]
     gravity: Floats1  # (3,) world axes [m/s^2]
     # (k, 5) the control laws, see :class:`CalledFunction` and multiarm.dynamics.control_laws
     control: Ints2

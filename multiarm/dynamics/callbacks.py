@@ -210,7 +210,7 @@ class DenseSolver:
     Attributes
     ----------
     reactions : tuple of ndarray, optional
-        With sliding friction: the object's rows (N, 6) and the blocks' matrices (n, d, m) of the
+        With sliding friction: the objects' rows (N, 6 F) and the blocks' matrices (n, d, m) of the
         contact forces.  None: contact forces act along the constraints, as in projections.
     """
 

@@ -1,7 +1,7 @@
 """Connections: pairs of bodies between which rows act, and the links that take part.
 
 The forces of a connection act on its second body; the first one takes the opposite.  The bodies are
-the links of robots that carry tips, the object and the world, in this order in
+the links of robots that carry tips, the objects and the world, in this order in
 ``BodyVariables.motion``.  A row's column of W is not zero for the joints of the *chain* of its link
 only, those between the base and the link.
 """
@@ -18,7 +18,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
 from multiarm.robots.robot import AT_REST, Robot, Tip
-from multiarm.scene.bodies import OBJECT, WORLD, BodyName
+from multiarm.scene.bodies import WORLD, BodyName, object_named
 from multiarm.scene.values import SURROUNDINGS
 
 
@@ -37,13 +37,13 @@ class Connection:
 
     @property
     def on_object(self) -> bool:
-        """Whether its second body is the object."""
-        return self.second == OBJECT
+        """Whether its second body is an object."""
+        return self.second.is_object
 
     @property
     def of_object(self) -> bool:
-        """Whether the object is one of its bodies."""
-        return OBJECT in (self.first, self.second)
+        """Whether an object is one of its bodies."""
+        return self.first.is_object or self.second.is_object
 
 
 class Links(NamedTuple):
@@ -62,6 +62,15 @@ class Connections(NamedTuple):
     second: Ints1
     # (C,) whether the chain of the first body is the whole block, and no second one has columns
     serial: Ints1
+
+
+def surroundings_of(objects: Sequence[str]) -> dict[str, Connection]:
+    """Connections of the objects with their surroundings, by the owners of their rows."""
+    owners = [SURROUNDINGS] if len(objects) == 1 else [f"{SURROUNDINGS}/{o}" for o in objects]
+    return {
+        owner: Connection(owner, WORLD, object_named(name))
+        for owner, name in zip(owners, objects, strict=True)
+    }
 
 
 class BodyTable:
@@ -84,14 +93,15 @@ class BodyTable:
     @property
     def count(self) -> int:
         """Number of bodies."""
-        return len(self._links) + 2
+        return len(self._links) + self._layout.frames + 1
 
     def number(self, body: BodyName) -> int:
         """Place of a body among all."""
         if body.is_link:
             joint = self.tip(body).joint
             return self._links.index((self._names.index(body.robot), joint))
-        return len(self._links) + (0 if body == OBJECT else 1)
+        objects = self._layout.objects
+        return len(self._links) + (objects.index(body.tip) if body.is_object else len(objects))
 
     def tip(self, body: BodyName) -> Tip:
         """The tip of a link; a frame at rest for another body."""
@@ -121,7 +131,6 @@ class BodyTable:
         numbers = np.full((4, len(owners)), world, dtype=np.int64)
         table = Connections(*numbers)
         table.block[:], table.serial[:] = layout.block_of, 0
-        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, WORLD, OBJECT), **pairs}
         for c, owner in enumerate(owners):
             if owner not in pairs:
                 continue

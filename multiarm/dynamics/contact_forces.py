@@ -1,4 +1,4 @@
-"""What contact forces do to the object and to the joints: wrenches and generalised forces."""
+"""What contact forces do to the objects and to the joints: wrenches and generalised forces."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from multiarm.contacts.joint import open_frames
 from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.motion import open_body
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.kinematics import is_object, write_object_row
+from multiarm.dynamics.kinematics import object_of, write_object_row
 from multiarm.jit.kernels import clear, kernel
 from multiarm.jit.vectors import add_rotated
 
 
 @kernel
 def add_contact_forces(work, W_o, W, force, on_object, on_joints):
-    """Add ``W_o force`` to the wrench on the object (6,) and ``W force`` to the joints' forces.
+    """Add ``W_o force`` to the wrenches on the objects (6 F,), ``W force`` to the joints' forces.
 
-    ``W_o`` (N, 6) and ``W`` (arms, d, m) are the directions of the forces, which need not be those
-    of the constraints; ``work`` has the joints and the contacts of each arm.
+    ``W_o`` (N, 6 F) and ``W`` (blocks, d, m) are the directions of the forces, which need not be
+    those of the constraints; ``work`` has the joints and the contacts of each block.
     """
     for k in range(force.size):
         for l in range(on_object.size):
@@ -47,15 +47,15 @@ def write_wrenches(model, data, forces):
     for c in range(wrenches.shape[0]):
         wrench, second = wrenches[c], pairs.second[c]
         clear(wrench)
-        on_object = is_object(second, data)
+        o = object_of(second, data)
         body, frames = open_body(data.bodies.motion[second]), open_frames(model.joint_frames[c])
         x = add_rotated(body.origin, body.rotation, frames.origin_on_object)
         for k in range(first[c], first[c + 1]):
-            if not on_object:
-                write_object_row(open_contact(data.rows.kinematics[k]), x, data.rows.about_joint)
-            row = data.rows.W_o[k] if on_object else data.rows.about_joint
+            if o < 0:
+                write_object_row(open_contact(data.rows.kinematics[k]), x, data.rows.about_joint, 0)
+            row, at = (data.rows.W_o[k], 6 * o) if o >= 0 else (data.rows.about_joint, 0)
             for l in range(wrench.size):
-                wrench[l] += row[l] * forces[k]
+                wrench[l] += row[at + l] * forces[k]
 
 
 def uncarried_wrench(data: Data) -> np.ndarray:

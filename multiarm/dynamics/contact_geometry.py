@@ -48,8 +48,8 @@ from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
 from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
 from multiarm.robots.robot import Tip
-from multiarm.scene.bodies import OBJECT, BodyName
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.bodies import BodyName
+from multiarm.scene.values import of_surroundings
 from multiarm.spatial import quaternion_to_matrix
 
 
@@ -207,7 +207,7 @@ def robot_matrix(data: Evaluated, i: int) -> np.ndarray:
 
 
 def force_directions(data: Evaluated) -> np.ndarray:
-    """What unit contact forces do to object and joints, ``[W_o; W]``, shape (6 + n, N)."""
+    """What unit contact forces do to objects and joints, ``[W_o; W]``, shape (6 F + n, N)."""
     layout, work = data.model.layout, data.work
     directions = np.zeros((layout.nv, layout.contacts))
     directions[layout.of_frames] = data.arrays.rows.W_o.T
@@ -239,9 +239,10 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
 def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndarray, np.ndarray]:
     """Pose (4, 4) and twist (6,) of a body's frame, of a link that of its tip, world axes."""
     X, twist = np.eye(4), np.zeros(6)
-    if body == OBJECT:
-        X[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
-        X[:3, 3], twist = state.object_position, state.object_twist
+    if body.is_object:
+        moving = state.objects[body.tip]
+        X[:3, :3] = quaternion_to_matrix(moving.quaternion_xyzw.copy())
+        X[:3, 3], twist = moving.position, moving.twist
     if body.is_link:
         robot, positions, rates = body.robot, state.joint_positions, state.joint_velocities
         base, arm = state.bases.get(robot), model.robots[robot]
@@ -256,14 +257,24 @@ def wrench_rows(data: Evaluated) -> np.ndarray:
     At the kinematics in the data.  ``x`` is the object's centre of mass; of another body the origin
     of the joint's frame on it.
     """
-    model, rows = data.model, data.arrays.rows.W_o.copy()
+    model, rows = data.model, np.zeros((data.model.layout.contacts, 6))
     for c, owner in enumerate(model.layout.owners):
-        if owner in model.connections and not model.connections[owner].on_object:
-            own, x = model.layout.contacts_of(c), _reference_point(data, owner)
+        own, o = model.layout.contacts_of(c), _object_pushed(model, owner)
+        if o is not None:
+            rows[own] = data.arrays.rows.W_o[own, 6 * o : 6 * o + 6]
+        elif owner in model.connections:
+            x = _reference_point(data, owner)
             contacts = fields_of(ContactRow, data.arrays.rows.kinematics[own])
             moment = np.cross(contacts.point - x, contacts.normal) + contacts.couple
             rows[own] = np.hstack([contacts.normal, moment])
     return rows
+
+
+def _object_pushed(model: Model, owner: str) -> int | None:
+    """The object that is the second body of an owner of rows; None for another body."""
+    second = int(model.constants.connections.second[model.layout.owners.index(owner)])
+    o = second - len(model.backends.links)
+    return o if 0 <= o < model.layout.frames else None
 
 
 def _reference_point(data: Evaluated, connection: str) -> np.ndarray:
@@ -333,7 +344,7 @@ def free_components(data: Data, connection: str, start: State) -> tuple[int, ...
 def patch_of(model: Model, constraint: Constraint) -> np.ndarray | None:
     """Frame and corners of the patch of the surroundings that a contact must be on, (18,)."""
     record = model.records[constraint.row]
-    if constraint.owner != SURROUNDINGS or not isinstance(record, Contact):
+    if not of_surroundings(constraint.owner) or not isinstance(record, Contact):
         return None
     patch: Patch | None = record.arm.patch
     if patch is None or record.surface_body != SURFACE_ON_ARM:
@@ -349,7 +360,7 @@ def patch_margin(data: Data, constraint: Constraint) -> float:
     patch = patch_of(data.model, constraint)
     if patch is None:
         return np.inf
-    return depth_of_contact(data.struct, patch, data.model.object_number + 1, constraint.row)
+    return depth_of_contact(data.struct, patch, data.model.world_number, constraint.row)
 
 
 @kernel

@@ -492,8 +492,8 @@ def with_rows(model: Model, variables: Variables) -> RowData:
     return RowData(
         model=model,
         arrays=variables,
-        work=make_work(joints, contacts, model.levers),
-        coupled=make_coupled(joints, contacts),
+        work=make_work(joints, contacts, model.levers, model.layout.node),
+        coupled=make_coupled(joints, contacts, model.layout.node),
         cache={},
     )
 

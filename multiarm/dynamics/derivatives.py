@@ -247,9 +247,9 @@ class _Equations:
             return
         falling = b.accelerations.a_o[:3] - self._data.model.constants.gravity
         dF_o[:3, self._columns["object_mass"].start] = falling
-        R = fields_of(BodyMotion, b.bodies.object).rotation
+        R = fields_of(BodyMotion, b.bodies.objects[0]).rotation
         first = self._columns["object_inertia"].start
-        spin, turning = b.state.object_twist[3:], b.accelerations.a_o[3:]
+        spin, turning = b.state.twists[0][3:], b.accelerations.a_o[3:]
         for k, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
             unit = np.zeros((3, 3))
             unit[i, j] = unit[j, i] = 1.0

@@ -216,10 +216,10 @@ def write_derivatives(struct: INTS, equations: INTS):
     copy(data.rows.force, work.force)
     for k in range(data.rows.W_o.shape[0]):
         copy(data.rows.W_o[k], work.Wr_o[k])
-    write_object(data, data.state.object_twist, data.accelerations.a_o, work)
+    write_object(data, data.state.twists[0], data.accelerations.a_o, work)
     status = differentiate_bodies(struct, equations)
     add_object_equation(
-        data.bodies.object_inertia, data.state.object_twist, data.accelerations.a_o, work
+        data.bodies.object_inertia, data.state.twists[0], data.accelerations.a_o, work
     )
     return status
 
@@ -249,7 +249,7 @@ def write_load_derivatives(struct, equations):
     copy(data.state.joint_rates, work.v)
     clear(work.a_j)
     copy(data.rows.static_force, work.force)
-    write_object(data, data.state.object_twist, AT_REST, work)
+    write_object(data, data.state.twists[0], AT_REST, work)
     return differentiate_bodies(struct, equations)
 
 
@@ -272,8 +272,8 @@ def differentiate_bodies(struct, equations):
 def write_object(data, twist, acceleration, work):
     """Write the object's pose in the data, and a twist and an acceleration (6,)."""
     body = open_body(work.object)
-    body.rotation = open_body(data.bodies.object).rotation
-    body.origin = vec(data.state.object_pose, 0)
+    body.rotation = open_body(data.bodies.objects[0]).rotation
+    body.origin = vec(data.state.poses[0], 0)
     body.velocity, body.spin = vec(twist, 0), vec(twist, 3)
     body.acceleration, body.spin_rate = vec(acceleration, 0), vec(acceleration, 3)
 

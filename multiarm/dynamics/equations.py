@@ -40,7 +40,7 @@ from multiarm.dynamics.kinematics import (
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
-from multiarm.dynamics.solver.node import eliminate_blocks
+from multiarm.dynamics.solver.node import NODE, eliminate_blocks
 from multiarm.dynamics.solver.singular import (
     couple,
     lever_length,
@@ -286,15 +286,30 @@ def drift_terms(data, alpha, beta):
 
 @cfunc
 def solve(address, size, gap, _b):
-    """Solve as :func:`solve_frictionless` describes: four blocks at a time, else block by block."""
+    """Solve for one object as :func:`solve_frictionless` describes.
+
+    Four blocks at a time; else block by block.
+    """
+    return solve_node_of(NODE, struct_at(address, size), gap)
+
+
+@cfunc
+def solve_several(address, size, gap, _b):
+    """:func:`solve` for any number of objects."""
     struct = struct_at(address, size)
+    return solve_node_of(open_data(struct).accelerations.a_o.size, struct, gap)
+
+
+@inlined
+def solve_node_of(node, struct, gap):
+    """:func:`solve` for a number of unknowns of the node, which is best a constant."""
     model, data, work = open_system(struct)
     if model.dense:
         return call_dense_solver(data.functions.dense, data, data.rows.W_o, gap)
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     result = solve_batched(
         work, rows.W_o, data.bodies.object_inertia, forces.f_o, forces.f_j, rows.c,
-        accelerations.a_o, accelerations.a_j, rows.force,
+        accelerations.a_o, accelerations.a_j, rows.force, node,
     )  # fmt: skip
     if result == OK:
         write_solution(data, WHOLE, 0, 0, math.inf, 1)
@@ -306,7 +321,7 @@ def solve(address, size, gap, _b):
 
 @kernel
 def call_dense_solver(function, data, W_o, gap):
-    """Solve by the dense solver at an address; forces act along ``W_o`` (N, 6).
+    """Solve by the dense solver at an address; forces act along ``W_o`` (N, 6 F).
 
     ``gap`` [m] as in :func:`solve_frictionless`.  Returns a status.
     """
@@ -420,11 +435,12 @@ def write_general_rows(address, size, _a, _b):
 
 @kernel
 def potential_energy(struct: INTS):
-    """Potential energy of robots and object [J] at the last evaluated state, zero at the origin."""
+    """Potential energy of robots and objects [J] at the last state, zero at the origin."""
     model, data, _ = open_system(struct)
     functions, energy = data.functions, 0.0
     for k in range(3):
-        energy -= model.object_mass * model.gravity[k] * data.state.object_pose[k]
+        for o in range(data.state.poses.shape[0]):
+            energy -= model.object_masses[o] * model.gravity[k] * data.state.poses[o, k]
     if functions.robots != 0:
         robots = struct_at(functions.robots_struct, functions.robots_size)
         energy += energy_of_robots(robots)

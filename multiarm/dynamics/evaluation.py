@@ -45,10 +45,11 @@ from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State
 from multiarm.dynamics.variables import Check
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, tangent_rows
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
 
@@ -106,7 +107,7 @@ class Snapshot:
         self.dense = solution.elimination == Elimination.DENSE
         self.regular = not (self.dense or solution.coupled_blocks)
         self.arrays, b = SimpleNamespace(), data.arrays
-        self.arrays.bodies = _copied(b.bodies, ("motion", "object", "object_inertia"))
+        self.arrays.bodies = _copied(b.bodies, ("motion", "objects", "object_inertia"))
         self.arrays.rows = _copied(b.rows, ("kinematics", "parts", "W_o"))
         if not self.regular:
             self.arrays.state = _copied(b.state, ("joint_positions",))
@@ -157,7 +158,7 @@ class Evaluation:
     ----------
     time : float
     state : State
-    object_acceleration : ndarray, shape (6,)
+    object_accelerations : mapping object -> ndarray, shape (6,)
         Acceleration of the centre of mass (classical) and angular acceleration, world axes.
     joint_accelerations, joint_torques : mapping arm or robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]; torques of the drives [N m, N]: those of the control, after limits and
@@ -200,7 +201,7 @@ class Evaluation:
 
     time: float
     state: State
-    object_acceleration: np.ndarray
+    object_accelerations: Mapping[str, np.ndarray]
     joint_accelerations: Mapping[str, np.ndarray]
     base_accelerations: Mapping[str, np.ndarray]
     joint_torques: Mapping[str, np.ndarray]
@@ -239,7 +240,10 @@ class Evaluation:
     def _repr_html_(self) -> str:
         shown = partial(numbers, rounding=1e-6)  # written starts leave small forces
         facts = {
-            "object's acceleration [m/s², rad/s²]": shown(self.object_acceleration),
+            **{
+                f"acceleration of {name} [m/s², rad/s²]": shown(acceleration)
+                for name, acceleration in self.object_accelerations.items()
+            },
             **{f"wrench of {a} [N, N m]": shown(w) for a, w in self.wrenches.items()},
             **{f"contact forces of {a} [N]": shown(f) for a, f in self.contact_forces.items()},
             "rank": self.rank,
@@ -249,11 +253,28 @@ class Evaluation:
         return facts_html(f"Evaluation at {self.time:g} s", facts)
 
     @property
+    def object_acceleration(self) -> np.ndarray:
+        """That of the object, where there is one, shape (6,).
+
+        Raises
+        ------
+        ModelError
+            Where there are several.
+        """
+        if len(self.object_accelerations) > 1:
+            name = next(iter(self.object_accelerations))
+            raise ModelError(
+                f"there are {len(self.object_accelerations)} objects; read "
+                f"`object_accelerations[{name!r}]`"
+            )
+        return next(iter(self.object_accelerations.values()))
+
+    @property
     def accelerations(self) -> np.ndarray:
-        """Of the object and of all joints, in the order of a state's velocity, shape (6 + n,)."""
+        """Of objects and all joints, in the order of a state's velocity, shape (6 F + n,)."""
         layout = self.state.layout
         stacked = np.zeros(layout.nv)
-        layout.twists(stacked)[0] = self.object_acceleration
+        layout.twists(stacked)[:] = [*self.object_accelerations.values()]
         for name, of_joints in layout.split_joints(layout.joint_rates(stacked)).items():
             of_joints[:] = self.joint_accelerations[name]
         of_bases = layout.base_twists(stacked)
@@ -305,7 +326,7 @@ class Evaluation:
         return {
             owner: rows[owner].T @ force
             for owner, force in self.contact_forces.items()
-            if owner in model.connections or owner == SURROUNDINGS
+            if owner in model.connections or of_surroundings(owner)
         }
 
     @cached_property
@@ -475,7 +496,9 @@ def evaluate(data: Data, t: float, state: State) -> Evaluation:
     return Evaluation(
         time=float(t),
         state=state,
-        object_acceleration=b.accelerations.a_o.copy(),
+        object_accelerations=dict(
+            zip(layout.objects, layout.twists(b.accelerations.a.copy()), strict=True)
+        ),
         joint_accelerations=layout.split_joints(a_j),
         base_accelerations={
             layout.names[i]: a_j[first : first + TWIST]
@@ -514,9 +537,7 @@ def place_start(data: Data, t: float, state: State) -> None:
 def rows_by_owner(layout: Layout, values: Rows) -> dict[str, Rows]:
     """Values of all rows, shape (N, ...), by owner; of the surroundings where they have any."""
     parts = {owner: values[layout.contacts_of(c)] for c, owner in enumerate(layout.owners)}
-    if len(values[layout.surroundings]) == 0:
-        parts.pop(SURROUNDINGS, None)
-    return parts
+    return {owner: part for owner, part in parts.items() if len(part) or not of_surroundings(owner)}
 
 
 def _conditioning(layout: Layout, pivots: Sequence[float]) -> dict[str, float]:

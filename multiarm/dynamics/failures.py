@@ -20,7 +20,7 @@ from multiarm.dynamics.status import (
 )
 from multiarm.errors import SolverError
 from multiarm.jit.pointers import is_at
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 
 def require_ok(data: Data, status: int) -> None:
@@ -53,7 +53,7 @@ def failure_text(data: Data, status: int) -> str:
         )
     if status == OBJECT_INERTIA:
         return (
-            "the object's node matrix is not positive definite; check the object's mass and "
+            "the node matrix of the objects is not positive definite; check their mass and "
             "inertia and that all numbers of the state are finite"
         )
     if status == PROJECTION_FAILED:
@@ -94,7 +94,7 @@ def is_tip_of_arm(pair: Connection) -> bool:
 
 def owner_of(model: Model, name: str) -> str:
     """An owner of rows, or a robot, in words: ``arm 'left'``, ``connection 'cart/left'``."""
-    if name == SURROUNDINGS:
+    if of_surroundings(name):
         return "the floor"
     if name in model.connections:
         noun = "arm" if is_tip_of_arm(model.connections[name]) else "connection"
@@ -170,7 +170,7 @@ def lost_contact_text(data: Data) -> str:
     b = data.arrays
     lost = np.flatnonzero(~np.isfinite(b.rows.kinematics).all(axis=1))
     if not lost.size or not (
-        np.isfinite(b.state.object_pose).all() and np.isfinite(b.state.joint_positions).all()
+        np.isfinite(b.state.poses).all() and np.isfinite(b.state.joint_positions).all()
     ):
         return ""
     return (

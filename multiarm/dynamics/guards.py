@@ -150,11 +150,13 @@ def turn_round(guards: Guards, g: int) -> None:
 def follow_scales(scales, data):
     """Let the scales grow with the forces at the state evaluated last.
 
-    They are at least what gives the object the acceleration ``LEAST_ACCELERATION``.  Forces that
+    They are at least what gives any object the acceleration ``LEAST_ACCELERATION``.  Forces that
     are not finite, of a state that cannot be evaluated, have no part in them.
     """
-    least = LEAST_ACCELERATION * data.bodies.object_inertia[0, 0]
-    forces = larger(larger(least, greatest(data.forces.f_o[:3])), greatest(data.rows.force))
+    forces = greatest(data.rows.force)
+    for at in range(0, data.forces.f_o.size, 6):
+        forces = larger(forces, LEAST_ACCELERATION * data.bodies.object_inertia[at, at])
+        forces = larger(forces, greatest(data.forces.f_o[at : at + 3]))
     if forces < math.inf:
         scales[FORCES] = max(scales[FORCES], forces)
         scales[JOINT_FORCES] = max(scales[JOINT_FORCES], forces, greatest(data.forces.f_j))

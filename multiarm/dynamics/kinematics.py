@@ -123,21 +123,23 @@ def block_terms(model, data, work):
 
 @inlined
 def object_terms(model, data):
-    """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the object (thesis, 3.2)."""
-    body, mass = open_body(data.bodies.object), model.object_mass
-    write_matrix(data.state.object_pose[3:7], data.bodies.object)
-    R, omega = body.rotation, vec(data.state.object_twist, 3)
-    A = model.object_inertia
-    I = rotate_symmetric(R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]))
-    body.origin, body.spin = vec(data.state.object_pose, 0), omega
-    body.velocity = vec(data.state.object_twist, 0)
-    for k in range(3):
-        data.bodies.object_inertia[k, k] = mass
-    put(data.bodies.object_inertia[3], 3, I[0:3])
-    put(data.bodies.object_inertia[4], 3, (I[1], I[3], I[4]))
-    put(data.bodies.object_inertia[5], 3, (I[2], I[4], I[5]))
-    put(data.forces.f_o, 0, scale(mass, vec(model.gravity, 0)))
-    put(data.forces.f_o, 3, cross(times(I, omega), omega))
+    """Pose, motion, inertia ``blkdiag(m I, R I R^T)`` and bias of the objects (thesis, 3.2)."""
+    inertia = data.bodies.object_inertia
+    for o in range(data.state.poses.shape[0]):
+        body, mass, at = open_body(data.bodies.objects[o]), model.object_masses[o], 6 * o
+        pose, twist = data.state.poses[o], data.state.twists[o]
+        write_matrix(pose[3:7], data.bodies.objects[o])
+        R, omega = body.rotation, vec(twist, 3)
+        A = model.object_inertias[o]
+        I = rotate_symmetric(R, (A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]))
+        body.origin, body.spin, body.velocity = vec(pose, 0), omega, vec(twist, 0)
+        for k in range(3):
+            inertia[at + k, at + k] = mass
+        put(inertia[at + 3], at + 3, I[0:3])
+        put(inertia[at + 4], at + 3, (I[1], I[3], I[4]))
+        put(inertia[at + 5], at + 3, (I[2], I[4], I[5]))
+        put(data.forces.f_o, at, scale(mass, vec(model.gravity, 0)))
+        put(data.forces.f_o, at + 3, cross(times(I, omega), omega))
 
 
 @inlined
@@ -190,14 +192,15 @@ def rows_of_serial_block(c, model, data, work):
     d = work.first_joint[i + 1] - work.first_joint[i]
     first = data.rows.first[c]
     m, before = data.rows.first[c + 1] - first, first - work.first_contact[i]
-    bodies, on_object = data.bodies, is_object(model.connections.second[c], data)
+    bodies, second = data.bodies, model.connections.second[c]
+    o = object_of(second, data)
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
-    x_o, W, wrench = open_body(bodies.object).origin, work.W[i], data.rows.block_wrenches
+    x_o, W, wrench = open_body(bodies.motion[second]).origin, work.W[i], data.rows.block_wrenches
     for k in range(m):
         row = open_contact(data.rows.kinematics[first + k])
         e, p, couple = row.normal, row.point, row.couple
-        if on_object:
-            write_object_row(row, x_o, data.rows.W_o[first + k])
+        if o >= 0:
+            write_object_row(row, x_o, data.rows.W_o[first + k], 6 * o)
         # the robot takes the opposite wrench; its Jacobian is about the world's origin
         force, moment = scale(-1.0, e), sub(cross(e, p), couple)
         if m < LANES:
@@ -216,31 +219,34 @@ def rows_of_serial_block(c, model, data, work):
 
 
 @inlined
-def is_object(body, data):
-    """Whether a body is the object."""
-    return body == data.bodies.links.shape[0]
+def object_of(body, data):
+    """The object that a body is; -1 for a link and for the world."""
+    o = body - data.bodies.links.shape[0]
+    return o if o < data.bodies.objects.shape[0] else -1
 
 
 @inlined
-def write_object_row(row, x_o, W_o):
-    """Write a row of ``W_o``, ``[e; (P - x_o) x e]``; ``x_o`` is the object's centre of mass."""
-    put(W_o, 0, row.normal)
-    put(W_o, 3, add(cross(sub(row.point, x_o), row.normal), row.couple))
+def write_object_row(row, x_o, W_o, at):
+    """Write ``[e; (P - x_o) x e]`` into a row of ``W_o``; ``x_o`` is the centre of mass."""
+    put(W_o, at, row.normal)
+    put(W_o, at + 3, add(cross(sub(row.point, x_o), row.normal), row.couple))
 
 
 @kernel
 def rows_of_connection(c, model, data, work):
     """``W_o`` and ``W`` of a connection of any two bodies."""
-    pairs, links = model.connections, data.bodies.links.shape[0]
+    pairs, links, motion = model.connections, data.bodies.links.shape[0], data.bodies.motion
     first, second = pairs.first[c], pairs.second[c]
+    against, pushed = object_of(first, data), object_of(second, data)
     for k in range(data.rows.first[c], data.rows.first[c + 1]):
         column = k - work.first_contact[pairs.block[c]]
-        if is_object(first, data) or is_object(second, data):
-            x_o, row = open_body(data.bodies.object).origin, open_contact(data.rows.kinematics[k])
-            write_object_row(row, x_o, data.rows.W_o[k])
-        if is_object(first, data):
-            for l in range(data.rows.W_o.shape[1]):
-                data.rows.W_o[k, l] *= -1.0
+        row, W_o = open_contact(data.rows.kinematics[k]), data.rows.W_o[k]
+        if pushed >= 0:
+            write_object_row(row, open_body(motion[second]).origin, W_o, 6 * pushed)
+        if against >= 0:
+            write_object_row(row, open_body(motion[first]).origin, W_o, 6 * against)
+            for l in range(6 * against, 6 * against + 6):
+                W_o[l] *= -1.0
         clear_column(pairs.block[c], column, work)
         if first < links:
             add_link_column(first, k, column, -1.0, model, data, work)

@@ -1,7 +1,7 @@
 """Where the parts of a system are in the vectors that stack them.
 
-With F floating frames, of which the object is one, B robots whose base floats, and n numbers of
-joints, to which the robots with floating bases add six each, before those of their joints:
+With F floating frames, the objects, B robots whose base floats, and n numbers of joints, to which
+the robots with floating bases add six each, before those of their joints:
 
 .. code-block:: text
 
@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.notation import count_of
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import of_surroundings
 
 TWIST = 6
 """Numbers of a twist, the velocity of a frame."""
@@ -112,8 +112,8 @@ class Layout:
         Of the owners; last the number of all rows.
     block_of : tuple of int
         The block of each owner.
-    frames : int
-        Floating frames, without the bases of robots.
+    objects : tuple of str
+        The objects: the floating frames without the bases of robots.
     floating_robots : tuple of int
         Robots whose base floats: their first six joints are the base's displacement and twist.
     noun : str
@@ -126,7 +126,7 @@ class Layout:
     owners: tuple[str, ...]
     first_contact: tuple[int, ...]
     block_of: tuple[int, ...]
-    frames: int = 1
+    objects: tuple[str, ...] = ("object",)
     floating_robots: tuple[int, ...] = ()
     noun: str = "arms"
 
@@ -147,6 +147,16 @@ class Layout:
     def tree_joint_count(self) -> int:
         """Number of joints of all robots, without floating bases."""
         return self.rate_count - TWIST * len(self.floating_robots)
+
+    @property
+    def frames(self) -> int:
+        """Number of objects, F."""
+        return len(self.objects)
+
+    @property
+    def node(self) -> int:
+        """Unknowns of the node, the accelerations of all objects: 6 F."""
+        return TWIST * self.frames
 
     @property
     def contacts(self) -> int:
@@ -170,10 +180,9 @@ class Layout:
 
     @property
     def surroundings(self) -> slice:
-        """Contacts of the object with its surroundings, the last owner's where there are any."""
-        if SURROUNDINGS not in self.owners:
-            return slice(self.contacts, self.contacts)
-        return slice(*self.first_contact[-2:])
+        """Contacts of the objects with their surroundings, the last owners' where there are any."""
+        around = sum(map(of_surroundings, self.owners))
+        return slice(self.first_contact[len(self.owners) - around], self.contacts)
 
     @property
     def owners_of_robots(self) -> tuple[str, ...]:
@@ -288,8 +297,8 @@ class Layout:
 
     def same_joints(self, layout: Layout) -> bool:
         """Whether frames and joints are the same; the contacts may differ."""
-        joints = layout.names, layout.first_joint, layout.frames, layout.floating_robots
-        return (self.names, self.first_joint, self.frames, self.floating_robots) == joints
+        joints = layout.names, layout.first_joint, layout.objects, layout.floating_robots
+        return (self.names, self.first_joint, self.objects, self.floating_robots) == joints
 
     # --- parts of configurations and velocities -------------------------------------------------
 
@@ -371,7 +380,7 @@ class Layout:
         return {
             name: vector[..., self.contacts_of(c)]
             for c, name in enumerate(self.owners)
-            if name != SURROUNDINGS
+            if not of_surroundings(name)
         }
 
     # --- columns of derivatives -----------------------------------------------------------------

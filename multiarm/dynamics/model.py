@@ -147,7 +147,7 @@ class Model:
 
     @cached_property
     def contacts_of_object(self) -> tuple[int, ...]:
-        """Rows of the contacts of the object's connections."""
+        """Rows of the contacts of the objects' connections."""
         rows: list[int] = []
         for name, connection in self.connections.items():
             of_owner = self.layout.contacts_of(self.layout.owners.index(name))
@@ -156,9 +156,9 @@ class Model:
         return tuple(row for row in rows if isinstance(self.records[row], Contact))
 
     @property
-    def object_number(self) -> int:
-        """The object among the bodies (:mod:`multiarm.dynamics.connections`); the world follows."""
-        return len(self.backends.links)
+    def world_number(self) -> int:
+        """The world among the bodies (:mod:`multiarm.dynamics.connections`), the last one."""
+        return len(self.backends.links) + self.layout.frames
 
     def bodies_of(self, connection: str) -> tuple[int, int]:
         """First and second body of a connection, in the order of ``BodyVariables.motion``."""

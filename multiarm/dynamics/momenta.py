@@ -2,7 +2,7 @@ r"""Momenta and kinetic energy: what the inertias make of velocities.
 
 .. math:: p = M v, \qquad T = \tfrac12 v^T M v
 
-with the object's inertia :math:`M_o` and those of the blocks :math:`M_i` at the kinematics in the
+with the objects' inertia :math:`M_o` and those of the blocks :math:`M_i` at the kinematics in the
 data, in world axes.
 """
 
@@ -14,9 +14,9 @@ from multiarm.jit.kernels import INTS, NUMBERS, inlined, kernel
 
 @inlined
 def times_object_inertia(k, data, x):
-    """Entry ``k`` of ``M_o x``."""
-    product = 0.0
-    for l in range(x.size):
+    """Entry ``k`` of ``M_o x``, which is block diagonal by the objects."""
+    first, product = k - k % 6, 0.0
+    for l in range(first, first + 6):
         product += data.bodies.object_inertia[k, l] * x[l]
     return product
 
@@ -32,12 +32,12 @@ def times_block_inertia(i, j, work, x):
 
 @kernel
 def write_momenta(struct: INTS, momenta: NUMBERS):
-    """Write ``M v`` of object and joints, in the order of a velocity [N s, N m s]."""
+    """Write ``M v`` of objects and joints, in the order of a velocity [N s, N m s]."""
     _, data, work = open_system(struct)
-    twist, rates = data.state.object_twist, data.state.joint_rates
+    rates = data.state.joint_rates
     first = momenta.size - rates.size
     for k in range(first):
-        momenta[k] = times_object_inertia(k, data, twist)
+        momenta[k] = times_object_inertia(k, data, data.state.velocity)
     for i in range(work.first_joint.size - 1):
         for j in range(work.first_joint[i + 1] - work.first_joint[i]):
             momenta[first + work.first_joint[i] + j] = times_block_inertia(i, j, work, rates)
@@ -45,10 +45,10 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
 
 @kernel
 def kinetic_energy(data, work):
-    """Kinetic energy of robots and object [J] at the last evaluated state."""
-    twist, rates, energy = data.state.object_twist, data.state.joint_rates, 0.0
-    for k in range(twist.size):
-        energy += 0.5 * twist[k] * times_object_inertia(k, data, twist)
+    """Kinetic energy of robots and objects [J] at the last evaluated state."""
+    velocity, rates, energy = data.state.velocity, data.state.joint_rates, 0.0
+    for k in range(data.bodies.object_inertia.shape[0]):
+        energy += 0.5 * velocity[k] * times_object_inertia(k, data, velocity)
     for i in range(work.first_joint.size - 1):
         d0 = work.first_joint[i]
         for j in range(work.first_joint[i + 1] - d0):

@@ -5,7 +5,7 @@ r"""Residuals of the equations of motion: how well accelerations and contact for
     M_o \dot v_o - f_o - \sum_i W_{oi} \lambda_i, \qquad
     W_{oi}^T \dot v_o + W_i^T \ddot q_i - c_i
 
-of blocks, object and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the
+of blocks, objects and constraints (:mod:`multiarm.dynamics.equations`), at the kinematics in the
 data.
 :func:`write_residuals` has all three, as a result states them; :func:`constraint_residual` and
 :func:`imbalance` are relative to the largest term, and decide whether a solution is one.
@@ -23,6 +23,7 @@ from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
 from multiarm.dynamics.solver.factors import norm
 from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel, larger
 from multiarm.jit.simd import broadcast, load_pack, store_pack
+from multiarm.jit.vectors import vec
 
 
 @kernel
@@ -108,11 +109,12 @@ def constraint_residual(model, data, work):
 
 @kernel
 def free_acceleration(data):
-    """Acceleration of the object's centre of mass without contact forces [m/s^2]."""
-    force = 0.0
-    for k in range(3):
-        force = max(force, abs(data.forces.f_o[k]))
-    return force / data.bodies.object_inertia[0, 0]
+    """Largest acceleration of an object's centre of mass without contact forces [m/s^2]."""
+    largest = 0.0
+    for at in range(0, data.forces.f_o.size, 6):
+        for k in range(at, at + 3):
+            largest = max(largest, abs(data.forces.f_o[k]) / data.bodies.object_inertia[at, at])
+    return largest
 
 
 @inlined
@@ -134,46 +136,62 @@ def free_rate(work):
 def imbalance(data, W_o):
     """Residual of ``M_o a_o = f_o + W_o force``, relative to the largest force in it.
 
-    ``W_o`` (N, 6) are the rows along which the forces act.  Moments are compared with moments, or
-    with that force at the object's radius of gyration.  Every solution is checked so.  Hence the
-    result is zero where a bound that takes no root and no norm of a row shows that it is less than
-    ``IMBALANCE_BOUND``; it is NaN where the solution is not finite.
+    The largest one of an object; ``W_o`` (N, 6 F) are the rows along which the forces act.  Moments
+    are compared with moments, or with that force at the object's radius of gyration.  Every
+    solution is checked so.  Hence the result is zero where a bound that takes no root and no norm
+    of a row shows that it is less than ``IMBALANCE_BOUND``; it is NaN where the solution is not
+    finite.
     """
-    inertia, m = data.bodies.object_inertia, data.bodies.object_inertia[0, 0]
+    largest = 0.0
+    for at in range(0, data.forces.f_o.size, 6):
+        largest = larger(largest, imbalance_of_object(data, W_o, at))
+    return largest
+
+
+@inlined
+def imbalance_of_object(data, W_o, at):
+    """:func:`imbalance` of the object whose numbers of the node begin at ``at``."""
+    inertia, m = data.bodies.object_inertia, data.bodies.object_inertia[at, at]
     f_o, a_o, total = data.forces.f_o, data.accelerations.a_o, data.forces.total
-    front, back = load_pack(f_o, 0), load_pack(f_o, 2)  # six numbers, two of them twice
+    front, back = load_pack(f_o, at), load_pack(f_o, at + 2)  # six numbers, two of them twice
+    place = at
     for a in range(data.rows.force.size):
         force = broadcast(data.rows.force[a])
-        front = front + force * load_pack(W_o, 6 * a)
-        back = back + force * load_pack(W_o, 6 * a + 2)
-    store_pack(total, 0, front)
-    store_pack(total, 2, back)
-    x, y, z = a_o[3], a_o[4], a_o[5]
-    forces = abs(total[0] - m * a_o[0]) + abs(total[1] - m * a_o[1]) + abs(total[2] - m * a_o[2])
+        front = front + force * load_pack(W_o, place)
+        back = back + force * load_pack(W_o, place + 2)
+        place += W_o.shape[1]
+    store_pack(total, at, front)
+    store_pack(total, at + 2, back)
+    u, v, w = at + 3, at + 4, at + 5
+    f, a, p = vec(f_o, at), vec(a_o, at), vec(total, at)
+    x, y, z = a_o[u], a_o[v], a_o[w]
+    forces = abs(p[0] - m * a[0]) + abs(p[1] - m * a[1]) + abs(p[2] - m * a[2])
     moments = (
-        abs(total[3] - inertia[3, 3] * x - inertia[3, 4] * y - inertia[3, 5] * z)
-        + abs(total[4] - inertia[4, 3] * x - inertia[4, 4] * y - inertia[4, 5] * z)
-        + abs(total[5] - inertia[5, 3] * x - inertia[5, 4] * y - inertia[5, 5] * z)
+        abs(total[u] - inertia[u, u] * x - inertia[u, v] * y - inertia[u, w] * z)
+        + abs(total[v] - inertia[v, u] * x - inertia[v, v] * y - inertia[v, w] * z)
+        + abs(total[w] - inertia[w, u] * x - inertia[w, v] * y - inertia[w, w] * z)
     )
-    largest = m * max(abs(a_o[0]), abs(a_o[1]), abs(a_o[2]))
-    small = 0.5 * IMBALANCE_BOUND * max(largest, abs(f_o[0]), abs(f_o[1]), abs(f_o[2]))
-    square = inertia[3, 3] + inertia[4, 4] + inertia[5, 5]  # m times that of the radius of gyration
+    largest = m * max(abs(a[0]), abs(a[1]), abs(a[2]))
+    small = 0.5 * IMBALANCE_BOUND * max(largest, abs(f[0]), abs(f[1]), abs(f[2]))
+    square = inertia[u, u] + inertia[v, v] + inertia[w, w]  # m times that of the radius of gyration
     if forces <= small and m * moments * moments <= small * small * square:
         return 0.0
-    return relative_imbalance(data, W_o, forces, moments)
+    return relative_imbalance(data, W_o, at, forces, moments)
 
 
 @kernel
-def relative_imbalance(data, W_o, forces, moments):
-    """Residuals of forces [N] and moments [N m] relative to the largest terms."""
-    inertia = data.bodies.object_inertia
-    radius = math.sqrt((inertia[3, 3] + inertia[4, 4] + inertia[5, 5]) / inertia[0, 0])
-    acceleration = max(LEAST_ACCELERATION, norm(data.accelerations.a_o[:3], 3))
-    push = max(inertia[0, 0] * acceleration, norm(data.forces.f_o[:3], 3))
-    turn = norm(data.forces.f_o[3:6], 3)
+def relative_imbalance(data, W_o, at, forces, moments):
+    """Residuals of an object's forces [N] and moments [N m] relative to the largest terms."""
+    inertia, u = data.bodies.object_inertia, at + 3
+    radius = math.sqrt(
+        (inertia[u, u] + inertia[u + 1, u + 1] + inertia[u + 2, u + 2]) / inertia[at, at]
+    )
+    acceleration = max(LEAST_ACCELERATION, norm(data.accelerations.a_o[at:u], 3))
+    push = max(inertia[at, at] * acceleration, norm(data.forces.f_o[at:u], 3))
+    turn = norm(data.forces.f_o[u : u + 3], 3)
     for a in range(data.rows.force.size):
         force = abs(data.rows.force[a])
-        push = max(push, force * norm(W_o[a, :3], 3))
-        turn = max(turn, force * norm(W_o[a, 3:6], 3))
+        push = max(push, force * norm(W_o[a, at:u], 3))
+        turn = max(turn, force * norm(W_o[a, u : u + 3], 3))
     # NaN stays NaN
     return forces / push + moments / max(turn, push * radius)

@@ -76,8 +76,7 @@ class RowSelection(Data):
         super().__init__(replace(model.select(range(layout.contacts)), unilateral=None), full)
         self.tangents: RowSelection | None = None
         self._full, self._room = full, self._make_room(variables)
-        joints = layout.joint_counts
-        self._places = row_places(*_shapes(joints, layout.contact_counts, 0))
+        self._places = row_places(*_shapes(layout, layout.contact_counts, 0))
         codes = fields_of(Code, model.constants.contacts.codes[: layout.contacts])
         of_joints = is_of_joints(codes.kind)
         tables = partial(_tables, layout, of_joints)
@@ -93,7 +92,8 @@ class RowSelection(Data):
         parts = count_parts(table.codes, layout.contacts)
         # blocks with more contacts than joints are in no group
         joints, contacts = layout.joint_counts, layout.contact_counts
-        groups = make_work(joints, np.minimum(joints, contacts).tolist()).groups
+        fewer = np.minimum(joints, contacts).tolist()
+        groups = make_work(joints, fewer, node=layout.node).groups
         constants = constants._replace(contacts=empty_table(layout.contacts + parts, table.shapes))
         self.replace_arrays(
             constants=constants,
@@ -153,19 +153,22 @@ class SelectedRows:
     @cached_property
     def arrays(self) -> Variables:
         """The variables of the selected rows."""
-        rows = beginnings(self._room.arrays.rows, row_shapes(self._selected.count(SELECTED)))
+        rows = beginnings(
+            self._room.arrays.rows,
+            row_shapes(self._selected.count(SELECTED), self._full.layout.node),
+        )
         return self._room.arrays._replace(rows=rows)
 
     @cached_property
     def work(self) -> NodeWork:
         """The workspace for the selected rows."""
-        work = beginnings(self._room.work, work_shapes(*self._sizes))
+        work = beginnings(self._room.work, work_shapes(*self._sizes, self._full.layout.node))
         return work._replace(groups=beginnings(work.groups, group_shapes(*self._sizes)))
 
     @cached_property
     def coupled(self) -> CoupledWork:
         """The workspace of the coupled system for the selected rows."""
-        return beginnings(self._room.coupled, coupled_shapes(*self._sizes))
+        return beginnings(self._room.coupled, coupled_shapes(*self._sizes, self._full.layout.node))
 
     @cached_property
     def _sizes(self) -> tuple[list[int], list[int]]:
@@ -191,19 +194,20 @@ def _tables(layout: Layout, of_joints: np.ndarray, selected: bytes) -> _Tables:
         np.searchsorted(rows, bounds) for bounds in (layout.first_contact, layout.first_of_block)
     )
     joints, counts = layout.joint_counts, np.diff(of_blocks).tolist()
-    shapes = _shapes(joints, counts, int(np.count_nonzero(of_joints[rows])))
+    shapes = _shapes(layout, counts, int(np.count_nonzero(of_joints[rows])))
     sizes = [size for part in shapes for shape in part.values() for size in shape]
     return _Tables(of_owners, of_blocks, counts, np.array(sizes), group_order(joints, counts))
 
 
-def _shapes(joints: list[int], counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
+def _shapes(layout: Layout, counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
     """Shapes of constants, variables and workspaces for numbers of rows."""
+    joints = layout.joint_counts
     return (
         dict.fromkeys(JointRows._fields, (of_joints,)),
-        row_shapes(sum(counts)),
-        work_shapes(joints, counts),
+        row_shapes(sum(counts), layout.node),
+        work_shapes(joints, counts, layout.node),
         group_shapes(joints, counts),
-        coupled_shapes(joints, counts),
+        coupled_shapes(joints, counts, layout.node),
     )
 
 

@@ -11,28 +11,28 @@ import numpy as np
 
 from multiarm.dynamics.layout import Layout
 from multiarm.errors import ModelError, MultiarmError
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.robots.base_motion import BaseMotion
-from multiarm.scene.faults import shown
+from multiarm.scene.faults import counted, shown
 
-BASE_PARTS = ("position", "quaternion_xyzw", "twist")
-"""What is given of a floating base."""
+FRAME_PARTS = ("position", "quaternion_xyzw", "twist")
+"""What is given of an object or a floating base."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class State:
-    """Positions and velocities of object and robots.
+    """Positions and velocities of objects and robots.
 
-    With B floating bases, ``n`` counts the joints and six numbers a floating base.
+    With F objects and B floating bases, ``n`` counts the joints and six numbers a floating base.
 
     Attributes
     ----------
-    position : ndarray, shape (7 + 7 B + n,)
-        The configuration: object's centre of mass [m], its quaternion (xyzw); the same of the
+    position : ndarray, shape (7 F + 7 B + n,)
+        The configuration: centre of mass [m] and quaternion (xyzw) of each object; the same of the
         origins of floating bases; joint positions [rad or m], zero for the six of a floating base.
-    velocity : ndarray, shape (6 + n,)
-        Object's twist (world axes: velocity of the centre of mass, angular velocity), joint
+    velocity : ndarray, shape (6 F + n,)
+        Twists of the objects (world axes: velocity of the centre of mass, angular velocity), joint
         velocities.  The twist of a floating base stands before those of its robot's joints.
     layout : Layout
         Where these are in the two vectors.
@@ -47,23 +47,33 @@ class State:
     __dir__ = public_names
 
     def __repr__(self) -> str:
-        place = ", ".join(f"{x:.4g}" for x in self.object_position)
-        return f"State(object at ({place}) m; {self.layout})"
+        places = [
+            f"{name} at ({', '.join(f'{x:.4g}' for x in moving.position)}) m"
+            for name, moving in self.objects.items()
+        ]
+        return f"State({counted(places, 4)}; {self.layout})"
 
     @property
     def object_position(self) -> np.ndarray:
         """Centre of mass in world axes, shape (3,) [m]."""
-        return self._pose[:3]
+        return self._only_object.position
 
     @property
     def object_quaternion_xyzw(self) -> np.ndarray:
         """Orientation of the object, scalar last, shape (4,)."""
-        return self._pose[3:]
+        return self._only_object.quaternion_xyzw
 
     @property
     def object_twist(self) -> np.ndarray:
         """Velocity of the centre of mass and angular velocity, world axes, shape (6,)."""
-        return self.layout.twists(self.velocity)[0]
+        return self._only_object.twist
+
+    @property
+    def objects(self) -> Mapping[str, FrameMotion]:
+        """Object -> its motion, that of the centre of mass."""
+        poses, twists = self.layout.poses(self.position), self.layout.twists(self.velocity)
+        motions = map(FrameMotion, poses, twists)
+        return MappingProxyType(dict(zip(self.layout.objects, motions, strict=True)))
 
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
@@ -81,7 +91,7 @@ class State:
         return MappingProxyType(self.layout.split_joints(self.layout.joint_rates(self.velocity)))
 
     @property
-    def bases(self) -> Mapping[str, BaseMotion]:
+    def bases(self) -> Mapping[str, FrameMotion]:
         """Robot name -> motion of its base, of robots whose base floats."""
         poses, twists = (
             self.layout.base_poses(self.position),
@@ -89,7 +99,7 @@ class State:
         )
         pairs = zip(self.layout.floating_robots, poses, twists, strict=True)
         return MappingProxyType(
-            {self.layout.names[i]: BaseMotion(pose, twist) for i, pose, twist in pairs}
+            {self.layout.names[i]: FrameMotion(pose, twist) for i, pose, twist in pairs}
         )
 
     def copy(self) -> State:
@@ -97,7 +107,7 @@ class State:
         return State(self.position.copy(), self.velocity.copy(), self.layout)
 
     def displaced(self, displacement: np.ndarray) -> State:
-        """A copy moved by a shift [m] and a turn [rad] of the object and by joints, (6 + n,).
+        """A copy moved by a shift [m] and a turn [rad] of each object and by joints, (6 F + n,).
 
         Those of a floating base stand before its robot's joints.  World axes; the velocities stay
         as they are.
@@ -114,7 +124,7 @@ class State:
         return State(position, self.velocity.copy(), self.layout)
 
     def displacement_to(self, other: State) -> np.ndarray:
-        """The displacement, as of :meth:`displaced`, that leads to another state, (6 + n,).
+        """The displacement, as of :meth:`displaced`, that leads to another state, (6 F + n,).
 
         Raises
         ------
@@ -127,8 +137,15 @@ class State:
         return difference(self.layout, self.position, other.position)
 
     @property
-    def _pose(self) -> np.ndarray:
-        return self.layout.poses(self.position)[0]
+    def _only_object(self) -> FrameMotion:
+        """The motion of the object, where there is one."""
+        objects = self.objects
+        if len(objects) > 1:
+            raise ModelError(
+                f"there are {len(objects)} objects, {', '.join(objects)}; read "
+                f"`objects[{self.layout.objects[0]!r}].position` and the like"
+            )
+        return next(iter(objects.values()))
 
 
 def require_same_joints(state: State, layout: Layout) -> None:
@@ -173,28 +190,31 @@ def checked_quaternion(what: str, values: Any) -> np.ndarray:
     return quaternion / norm
 
 
-def fill_bases(state: State, given: Any) -> None:
-    """Write ``given``, a mapping robot -> position, quaternion, twist, into the floating bases.
+def fill_frames(what: str, frames: Mapping[str, FrameMotion], given: Any) -> None:
+    """Write ``given``, a mapping name -> position, quaternion, twist, into some of the frames.
+
+    ``what`` is ``objects``, or ``bases`` of robots.
 
     Raises
     ------
     ModelError
-        An unknown robot or key, a wrong shape, a number that is not finite, a zero quaternion.
+        An unknown name or key, a wrong shape, a number that is not finite, a zero quaternion.
     """
-    bases, example = state.bases, "bases: {'sat': {'position': 3 numbers [m]}}"
+    example = f"{what}: {{{next(iter(frames), 'sat')!r}: {{'position': 3 numbers [m]}}}}"
     if not isinstance(given, Mapping):
-        raise ModelError(f"bases: must be a dict by robot, such as {example}, got {shown(given)}")
-    for robot, motion in given.items():
-        if robot not in bases:
-            known = f"robots with one are {', '.join(bases)}" if bases else "no robot has one"
-            raise ModelError(f"bases: {robot!r} is no robot with a floating base; {known}")
-        if not isinstance(motion, Mapping) or motion.keys() - set(BASE_PARTS):
+        raise ModelError(f"{what}: must be a dict by name, such as {example}, got {shown(given)}")
+    for name, motion in given.items():
+        if name not in frames:
+            noun = "object" if what == "objects" else "robot with a floating base"
+            known = f"those are {', '.join(frames)}" if frames else "there is none"
+            raise ModelError(f"{what}: {name!r} is no {noun}; {known}")
+        if not isinstance(motion, Mapping) or motion.keys() - set(FRAME_PARTS):
             raise ModelError(
-                f"bases[{robot!r}]: must be a dict with some of {', '.join(BASE_PARTS)}, got "
+                f"{what}[{name!r}]: must be a dict with some of {', '.join(FRAME_PARTS)}, got "
                 f"{shown(motion)}"
             )
         for part, values in motion.items():
-            where, view = f"bases[{robot!r}][{part!r}]", getattr(bases[robot], part)
+            where, view = f"{what}[{name!r}][{part!r}]", getattr(frames[name], part)
             if part == "quaternion_xyzw":
                 view[:] = checked_quaternion(where, values)
             else:

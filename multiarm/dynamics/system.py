@@ -24,8 +24,8 @@ from multiarm.dynamics.state import (
     State,
     checked_quaternion,
     checked_vector,
-    fill_bases,
     fill_by_arm,
+    fill_frames,
     require_same_joints,
 )
 from multiarm.dynamics.tips import Kinematics, kinematics_of
@@ -206,7 +206,12 @@ class System:
         return f"System({self.scene.name!r}: {self.model.layout})"
 
     def _repr_html_(self) -> str:
-        facts = {"object": f"{self.model.constants.object_mass:g} kg"}
+        facts = {
+            name: f"{mass:g} kg"
+            for name, mass in zip(
+                self.model.layout.objects, self.model.constants.object_masses, strict=True
+            )
+        }
         joints = {joint.connection: joint for joint in self.scene.joints}
         for name in self.model.connections:
             noun, of_robot = "connection", ""
@@ -330,19 +335,22 @@ class System:
         object_twist=None,
         joint_velocities: Mapping[str, np.ndarray] | None = None,
         bases: Mapping[str, Mapping[str, Any]] | None = None,
+        objects: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> State:
         """A state from plain arrays; those left out are taken from the start.
 
-        The state is not projected and may violate the joints.  ``bases`` are of robots with a
-        floating base: ``{"sat": {"position": [m], "quaternion_xyzw": ..., "twist": ...}}``, some or
-        all of the three.
+        The state is not projected and may violate the joints.  ``objects`` are
+        ``{"beam": {"position": [m], "quaternion_xyzw": ..., "twist": ...}}``, some or all of the
+        three; ``bases`` the same of robots with a floating base.
 
         Raises
         ------
         ModelError
-            An unknown arm or base, a wrong shape, a number that is not finite, a zero quaternion.
+            An unknown arm, object or base, a wrong shape, a number that is not finite, a zero
+            quaternion; ``object_...`` where there are several objects.
         """
         state = self.initial_state()
+        fill_frames("objects", state.objects, {} if objects is None else objects)
         if object_position is not None:
             state.object_position[:] = checked_vector("object_position", object_position, 3)
         if object_quaternion_xyzw is not None:
@@ -355,7 +363,7 @@ class System:
         rates = layout.joint_rates(state.velocity)
         fill_by_arm("joint_positions", layout, positions, joint_positions or {})
         fill_by_arm("joint_velocities", layout, rates, joint_velocities or {})
-        fill_bases(state, {} if bases is None else bases)
+        fill_frames("bases", state.bases, {} if bases is None else bases)
         return state
 
     def kinematics(self, state: State | None = None) -> Kinematics:

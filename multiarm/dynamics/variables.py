@@ -61,13 +61,12 @@ class StateVectors(NamedTuple):
     """The state: two vectors (:mod:`multiarm.dynamics.layout`), and parts of the same memory."""
 
     configuration: Floats1
-    poses: Floats2  # (F, 7) of the frames
+    poses: Floats2  # (F, 7) of the objects
     base_poses: Floats2  # (B, 7) of the floating bases
     floating_bases: Ints1  # (B,) the first of the six joints of each
-    object_pose: Floats1  # (7,)
     joint_positions: Floats1  # (joints,)
     velocity: Floats1
-    object_twist: Floats1  # (6,)
+    twists: Floats2  # (F, 6) of the objects
     joint_rates: Floats1  # (joints,)
 
 
@@ -79,22 +78,22 @@ class BodyVariables(NamedTuple):
     pinocchio_configuration: Floats1
     # (joints,) velocities as Pinocchio has them: of floating bases the angular one in base axes
     pinocchio_velocity: Floats1
-    # (B, 24) motion of the links, of the object and of the world, see
-    # multiarm.dynamics.connections; parts of the same memory, (L, 24), (24,)
+    # (B, 24) motion of the links, of the objects and of the world, see
+    # multiarm.dynamics.connections; parts of the same memory, (L, 24), (F, 24)
     motion: Floats2
     links: Floats2
-    object: Floats1
+    objects: Floats2
     relative: Floats1  # (15,) scratch for the relative motion of two bodies
-    object_inertia: Floats2  # (6, 6)
+    object_inertia: Floats2  # (6 F, 6 F) of the objects, block diagonal
 
 
 class GeneralisedForces(NamedTuple):
     """Right-hand sides of the equations of motion."""
 
-    f: Floats1  # (6 F + joints,), and parts of the same memory, on the object (6,), on the joints
+    f: Floats1  # (6 F + joints,), parts of the same memory: on the objects (6 F,), on the joints
     f_o: Floats1
     f_j: Floats1
-    # with those of the contacts; the check of a solution (imbalance) writes the object's only
+    # with those of the contacts; the check of a solution (imbalance) writes the objects' only
     total: Floats1
     # while a mode with forces that are given is solved, see multiarm.events.kernels
     without_prestress: Floats1
@@ -103,7 +102,7 @@ class GeneralisedForces(NamedTuple):
 class Accelerations(NamedTuple):
     """Their solution."""
 
-    a: Floats1  # (6 F + joints,), and parts of the same memory, of the object (6,), of the joints
+    a: Floats1  # (6 F + joints,), parts of the same memory: of the objects (6 F,), of the joints
     a_o: Floats1
     a_j: Floats1
 
@@ -114,7 +113,7 @@ class Rows(NamedTuple):
     first: Ints1  # (C + 1,) first row of each owner
     kinematics: Floats2  # (N, 18) of the contacts, see multiarm.contacts.kernel
     parts: Floats2  # (P, 18) the same of the contacts that combined rows consist of
-    W_o: Floats2  # (N, 6) ``[e; (P - x_o) x e]``
+    W_o: Floats2  # (N, 6 F) ``[e; (P - x_o) x e]`` of the second body, its opposite of the first
     c: Floats1  # (N,) right-hand sides of the constraints
     force: Floats1  # (N,) contact forces, positive = pushing
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
@@ -358,7 +357,10 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
     layout, states, pairs = sizes.layout, sizes.states, sizes.pairs
     blocks, joints, owners = layout.block_count, layout.rate_count, len(layout.owners)
     columns = columns_of_forces(layout.nv, joints, states).end
-    rows, motion = make_rows(layout, sizes.parts), motion_of_bodies(len(pointers.links))
+    rows, motion = (
+        make_rows(layout, sizes.parts),
+        motion_of_bodies(len(pointers.links) + layout.frames),
+    )
     recorded = np.append(layout.first_contact, layout.contacts + np.cumsum(sizes.contact_states))
     state, forces, accelerations = stacked_vectors(layout)
     rates = state.joint_rates
@@ -375,10 +377,10 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
             pinocchio_velocity=rates.copy() if layout.floating_robots else rates,
             motion=motion,
-            links=motion[:-2],
-            object=motion[-2],
+            links=motion[: len(pointers.links)],
+            objects=motion[len(pointers.links) : -1],
             relative=np.zeros(RELATIVE_WIDTH),
-            object_inertia=np.zeros((6, 6)),
+            object_inertia=np.zeros((layout.node, layout.node)),
         ),
         rows=rows,
         control=ControlVariables(
@@ -438,41 +440,42 @@ def stacked_vectors(layout: Layout) -> tuple[StateVectors, GeneralisedForces, Ac
             poses=layout.poses(q),
             base_poses=layout.base_poses(q),
             floating_bases=floating_bases(layout),
-            object_pose=layout.poses(q)[0],
             joint_positions=layout.joint_positions(q),
             velocity=v,
-            object_twist=layout.twists(v)[0],
+            twists=layout.twists(v),
             joint_rates=layout.joint_rates(v),
         ),
         GeneralisedForces(
             f=f,
-            f_o=layout.twists(f)[0],
+            f_o=f[layout.of_frames],
             f_j=layout.joint_rates(f),
             total=np.zeros(layout.nv),
             without_prestress=np.zeros(layout.nv),
         ),
-        Accelerations(a=a, a_o=layout.twists(a)[0], a_j=layout.joint_rates(a)),
+        Accelerations(a=a, a_o=a[layout.of_frames], a_j=layout.joint_rates(a)),
     )
 
 
-def motion_of_bodies(links: int) -> np.ndarray:
-    """``BodyVariables.motion`` for a number of links, the world at rest at the origin."""
-    motion = np.zeros((links + 2, BODY_WIDTH))
+def motion_of_bodies(moving: int) -> np.ndarray:
+    """``BodyVariables.motion`` of links and objects, and of the world at rest at the origin."""
+    motion = np.zeros((moving + 1, BODY_WIDTH))
     fields_of(BodyMotion, motion[-1]).rotation[:] = np.eye(3)
     return motion
 
 
 def make_rows(layout: Layout, parts: int) -> Rows:
     """Allocate for the rows of a layout, and a number of parts of combined rows."""
-    arrays = {name: np.zeros(shape) for name, shape in row_shapes(layout.contacts).items()}
+    arrays = {
+        name: np.zeros(shape) for name, shape in row_shapes(layout.contacts, layout.node).items()
+    }
     first = np.array(layout.first_contact, dtype=np.int64)
     parts_of_rows = np.zeros((parts, CONTACT_WIDTH))
     return Rows(first=first, parts=parts_of_rows, about_joint=np.zeros(6), **arrays)
 
 
-def row_shapes(rows: int) -> dict[str, tuple[int, ...]]:
+def row_shapes(rows: int, node: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of :class:`Rows` with an entry for every row."""
     return {
-        "kinematics": (rows, CONTACT_WIDTH), "W_o": (rows, 6), "c": (rows,), "force": (rows,),
+        "kinematics": (rows, CONTACT_WIDTH), "W_o": (rows, node), "c": (rows,), "force": (rows,),
         "static_force": (rows,), "block_wrenches": (6, rows),
     }  # fmt: skip

@@ -64,17 +64,19 @@ open_drag = view_of_effect(Drag)
 
 @cfunc
 def add_drag(address, size, at, _t):
-    """Add the wrench of the medium."""
+    """Add the wrench of the medium on every object."""
     struct = struct_at(address, size)
-    data, drag = open_data(struct), open_drag(struct, at)
-    body, f_o = open_body(data.bodies.object), data.forces.f_o
-    R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
-    push = add_scaled(vec(drag.linear, 0), norm(u), vec(drag.quadratic, 0))
-    force = scale(-1.0, along_axes(R, push, u))
-    moment = scale(-1.0, along_axes(R, vec(drag.angular, 0), w))
-    put(f_o, 0, add(vec(f_o, 0), force))
-    put(f_o, 3, add(vec(f_o, 3), moment))
-    set_power(struct, at, dot(force, body.velocity) + dot(moment, w))
+    data, drag, power = open_data(struct), open_drag(struct, at), 0.0
+    for o in range(data.bodies.objects.shape[0]):
+        body, f_o, first = open_body(data.bodies.objects[o]), data.forces.f_o, 6 * o
+        R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
+        push = add_scaled(vec(drag.linear, 0), norm(u), vec(drag.quadratic, 0))
+        force = scale(-1.0, along_axes(R, push, u))
+        moment = scale(-1.0, along_axes(R, vec(drag.angular, 0), w))
+        put(f_o, first, add(vec(f_o, first), force))
+        put(f_o, first + 3, add(vec(f_o, first + 3), moment))
+        power += dot(force, body.velocity) + dot(moment, w)
+    set_power(struct, at, power)
     return 0
 
 
@@ -83,8 +85,16 @@ def differentiate_drag(address, size, at, _t):
     """Add the derivatives of the wrench."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    slopes, twists = data.slopes.force, force_columns(data).twists
-    body = open_body(data.bodies.object)
+    for o in range(data.bodies.objects.shape[0]):
+        differentiate_on_object(drag, o, data)
+    return 0
+
+
+@inlined
+def differentiate_on_object(drag, o, data):
+    """Add the derivatives of the wrench on an object."""
+    slopes, first, twists = data.slopes.force, 6 * o, force_columns(data).twists + 6 * o
+    body = open_body(data.bodies.objects[o])
     R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
     c, q, d = vec(drag.linear, 0), vec(drag.quadratic, 0), vec(drag.angular, 0)
     speed = norm(u)
@@ -99,11 +109,10 @@ def differentiate_drag(address, size, at, _t):
         moment_by_turn = add_cross(along_axes(R, d, cross(e, w)), e, m)
         by_spin = along_axes(R, d, e)
         for k in range(3):
-            slopes[k, twists + axis] -= by_velocity[k]
-            slopes[k, 3 + axis] += by_turn[k]
-            slopes[3 + k, twists + 3 + axis] -= by_spin[k]
-            slopes[3 + k, 3 + axis] += moment_by_turn[k]
-    return 0
+            slopes[first + k, twists + axis] -= by_velocity[k]
+            slopes[first + k, first + 3 + axis] += by_turn[k]
+            slopes[first + 3 + k, twists + 3 + axis] -= by_spin[k]
+            slopes[first + 3 + k, first + 3 + axis] += moment_by_turn[k]
 
 
 @inlined

@@ -64,7 +64,8 @@ class ExternalWrenches(NamedTuple):
     """Wrenches, k of them."""
 
     course: Ints1  # time dependence
-    on_link: Ints1  # whether it acts on a link, else on the object
+    on_link: Ints1  # whether it acts on a link, else on an object
+    object: Ints1  # that object
     in_body: Ints1  # whether its axes are those of the body, else of the world
     # of one on a link: number of its pose, block of the joints that move it, the block's first
     # joint; (k, d) these joints, counted from the block's first, and how many they are
@@ -163,7 +164,7 @@ def place_wrench(wrenches, k, data, t):
     It is about the object's centre of mass, or about the world's origin.
     """
     write_wrench(wrenches, k, t)
-    R, origin = open_body(data.bodies.object).rotation, ZERO
+    R, origin = open_body(data.bodies.objects[wrenches.object[k]]).rotation, ZERO
     if wrenches.on_link[k] != 0:
         pose = open_pose(floats_at(data.effects.link_poses[wrenches.link[k]], POSE_WIDTH))
         R, origin = pose.axes, pose.origin

@@ -62,7 +62,7 @@ class ModeGuards:
             of_constraint = _guards(u, constraint, still, directions)
             patch = patch_of(model, constraint)
             if patch is not None and not constraint.compliant:
-                depth = PatchDepth(constraint.row, model.object_number + 1, patch)
+                depth = PatchDepth(constraint.row, model.world_number, patch)
                 of_constraint |= _at_edge(depth)
             first = len(self.all)
             self._numbers.append({key: first + k for k, key in enumerate(of_constraint)})

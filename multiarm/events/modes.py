@@ -106,8 +106,10 @@ class Modes:
         )
         owners = self._guards, self._slides, self.arrays, self._reactions
         self._structs.refer(mode=Reference(self._struct, owners))
-        self._joints = full.model.layout.joint_counts
-        self._sizes = mode_sizes(reaction_shapes(self._joints, full.model.layout.contact_counts))
+        self._joints, self._node = full.model.layout.joint_counts, full.model.layout.node
+        self._sizes = mode_sizes(
+            reaction_shapes(self._joints, full.model.layout.contact_counts, self._node)
+        )
         everything_open = [
             ContactState.FORWARD if kind == DRY_JOINT else ContactState.OPEN for kind in kinds
         ]
@@ -214,7 +216,7 @@ class Modes:
         if not sliding:
             return
         assert self._reactions is not None
-        shapes = reaction_shapes(self._joints, self.data.counts)
+        shapes = reaction_shapes(self._joints, self.data.counts, self._node)
         sizes = [size for shape in shapes.values() for size in shape]
         self._struct[self._sizes.reactions] = sizes
         self._functions.solve = self._solve_sliding
@@ -273,7 +275,7 @@ def _tables(unilateral: UnilateralConstraints, guards: ModeGuards, mode: Mode) -
 def _reactions(full: Data, data: Data) -> ReactionWork:
     """The arrays of the node algorithm with friction; some are those of the mode's Data."""
     work, layout = data.work, full.model.layout
-    return make_reaction_work(layout.joint_counts, layout.contact_counts)._replace(
+    return make_reaction_work(layout.joint_counts, layout.contact_counts, layout.node)._replace(
         first_joint=work.first_joint,
         first_contact=work.first_contact,
         levers=work.levers,

@@ -170,7 +170,7 @@ def gather(blocks, data, work, power, of_drives):
         for l in range(frames):
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
-            power_slope += slope * data.state.object_twist[l]
+            power_slope += slope * data.state.twists[0][l]
         if power >= 0:
             blocks.by_object[blocks.couplings + total, c] += power_slope
         if 0 <= power < total:

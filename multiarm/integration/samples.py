@@ -37,8 +37,10 @@ def write_sample(struct, t, works, row):
         write_wrenches(model, data, data.rows.force)
     write_tips(model, data)
     row[0] = t
-    at = append(row, 1, state.object_pose)
-    at = append(row, at, state.object_twist)
+    at = 1
+    for o in range(state.poses.shape[0]):
+        at = append(row, at, state.poses[o])
+        at = append(row, at, state.twists[o])
     b, c, blocks = 0, 0, model.connections.block
     for i in range(control.power.size):
         first, last = model.first_joint[i], model.first_joint[i + 1]

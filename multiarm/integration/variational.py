@@ -259,7 +259,7 @@ def midpoint_forces(step, work, h):
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
     if status != OK:
         return status
-    inertia, w = data.bodies.object_inertia, data.state.object_twist[3:6]
+    inertia, w = data.bodies.object_inertia, data.state.twists[0][3:6]
     push, half = work.push, 0.5 * h
     l0 = inertia[3, 3] * w[0] + inertia[3, 4] * w[1] + inertia[3, 5] * w[2]
     l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]

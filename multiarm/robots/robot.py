@@ -20,8 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.errors import ModelError
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.notation import count_of
-from multiarm.robots.base_motion import BaseMotion
 from multiarm.robots.terms import RobotTerms, TipKinematics, TreeStructure
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
@@ -227,7 +227,7 @@ class Robot:
         (tip,) = self.tips.values()
         return tip
 
-    def configuration(self, angles: np.ndarray, base: BaseMotion | None = None) -> np.ndarray:
+    def configuration(self, angles: np.ndarray, base: FrameMotion | None = None) -> np.ndarray:
         """Pinocchio's configuration vector ``(nq,)`` of one number per joint ``(n,)``."""
         angles = np.asarray(angles, dtype=float)
         parts = list(self.base_pose if base is None else base.pose) if self.floats else []
@@ -263,7 +263,9 @@ class Robot:
         place = frame.placement
         return frame.parentJoint, place.rotation.copy(), place.translation.copy()
 
-    def _velocity(self, rates: np.ndarray, base: BaseMotion | None, turn: np.ndarray) -> np.ndarray:
+    def _velocity(
+        self, rates: np.ndarray, base: FrameMotion | None, turn: np.ndarray
+    ) -> np.ndarray:
         """Pinocchio's velocity, for which ``turn`` (6 + n, 6 + n) yields that in world axes."""
         if not self.floats:
             return np.array(rates, dtype=float)
@@ -282,7 +284,7 @@ class Robot:
         angles: np.ndarray,
         velocity: np.ndarray,
         tip: str = "",
-        base: BaseMotion | None = None,
+        base: FrameMotion | None = None,
     ) -> RobotTerms:
         """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
         q = self.configuration(angles, base)
@@ -312,7 +314,7 @@ class Robot:
         angles: np.ndarray,
         velocity: np.ndarray,
         tip: str = "",
-        base: BaseMotion | None = None,
+        base: FrameMotion | None = None,
     ) -> TipKinematics:
         """Motion of a tip at joint positions [rad or m] and velocities, (n,)."""
         q, data = self.configuration(angles, base), self.model.createData()
@@ -337,12 +339,12 @@ class Robot:
         )
 
     def tip_pose(
-        self, angles: np.ndarray, tip: str = "", base: BaseMotion | None = None
+        self, angles: np.ndarray, tip: str = "", base: FrameMotion | None = None
     ) -> np.ndarray:
         """Homogeneous pose ``X_WT``, shape (4, 4), of a tip in the world."""
         return self._frames(angles, base).oMf[self.tips[tip].frame_id].homogeneous.copy()
 
-    def skeleton(self, angles: np.ndarray, base: BaseMotion | None = None) -> np.ndarray:
+    def skeleton(self, angles: np.ndarray, base: FrameMotion | None = None) -> np.ndarray:
         """Origins of all n joints and of the t tips in the world, shape (n + t, 3) [m]."""
         data = self._frames(angles, base)
         first = self._first_joint
@@ -350,7 +352,7 @@ class Robot:
         tips = [data.oMf[tip.frame_id].translation for tip in self.tips.values()]
         return np.array([*joints, *tips])
 
-    def _frames(self, angles: np.ndarray, base: BaseMotion | None) -> pin.Data:
+    def _frames(self, angles: np.ndarray, base: FrameMotion | None) -> pin.Data:
         """Poses of all joints and frames."""
         data = self.model.createData()
         pin.framesForwardKinematics(self.model, data, self.configuration(angles, base))

@@ -33,9 +33,19 @@ class BodyName:
         """Whether it is a link of an arm or robot."""
         return bool(self.robot)
 
+    @property
+    def is_object(self) -> bool:
+        """Whether it is an object."""
+        return not self.robot and self.tip != "world"
+
 
 OBJECT = BodyName("", "object")
 WORLD = BodyName("", "world")
+
+
+def object_named(name: str) -> BodyName:
+    """The object with this name."""
+    return BodyName("", name)
 
 
 def body_named(text: str) -> BodyName:

@@ -169,6 +169,11 @@ class Scene(Spec):
         return copy.replace(update) if update else copy
 
     @property
+    def all_objects(self) -> dict[str, ObjectSpec]:
+        """The objects by their names; that of ``object`` is called so."""
+        return {"object": self.object}
+
+    @property
     def folder(self) -> Path:
         """The folder at which relative paths of this scene started."""
         return self._folder

@@ -197,7 +197,17 @@ WorldAxes = Annotated[
 
 
 SURROUNDINGS = "floor"
-"""Owner of contacts between the object and what stands still, beside the arms."""
+"""Owner of contacts between the object and what stands still, beside the arms.
+
+With several objects ``floor/NAME`` for each.
+"""
+
+
+def of_surroundings(owner: str) -> bool:
+    """Whether an owner of rows stands for contacts with what stands still."""
+    return owner.partition("/")[0] == SURROUNDINGS
+
+
 _ARM_NAME = r"[A-Za-z0-9_][A-Za-z0-9_.\-]*"
 _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 

@@ -177,7 +177,7 @@ def _add_object(spec: Any, system: System) -> None:
         pos=start.object_position, quat=np.roll(start.object_quaternion_xyzw, 1)
     )
     plant = system.model.constants
-    _set_inertia(body, float(plant.object_mass), np.zeros(3), plant.object_inertia)
+    _set_inertia(body, plant.object_masses[0], np.zeros(3), plant.object_inertias[0])
     body.add_freejoint()
     for joint in system.scene.joints:
         _add_sites(body, "object", joint, system.frames[joint.arm].on_object)

@@ -94,7 +94,7 @@ class PinocchioPeer(Peer):
             base = pin.SE3.Identity()
         self._object = base * self._on_object.inverse()
         plant = system.model.constants
-        inertia = pin.Inertia(float(plant.object_mass), np.zeros(3), plant.object_inertia)
+        inertia = pin.Inertia(plant.object_masses[0], np.zeros(3), plant.object_inertias[0])
         self.model.appendBodyToJoint(self._body, inertia, self._object)
         self.constraints = pin.StdVec_RigidConstraintModel()
         for name in joints:

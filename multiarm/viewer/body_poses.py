@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from multiarm.robots.base_motion import BaseMotion
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.scene.bodies import OBJECT, BodyName
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.viewer.animation import rotations
@@ -57,14 +57,14 @@ class BodyPoses:
         arm, states = self._system.arms[body.robot], self._states_of(body.robot)
         return np.array([arm.tip_pose(angles, body.tip, base) for angles, base in states])
 
-    def _states_of(self, robot: str) -> Iterator[tuple[np.ndarray, BaseMotion | None]]:
+    def _states_of(self, robot: str) -> Iterator[tuple[np.ndarray, FrameMotion | None]]:
         """Joint positions, and the motion of the base where it floats, sample by sample."""
         return zip(self._angles[robot], self._bases[robot], strict=True)
 
 
-def _base_motions(base: BaseChannels, rows: np.ndarray) -> list[BaseMotion | None]:
+def _base_motions(base: BaseChannels, rows: np.ndarray) -> list[FrameMotion | None]:
     poses = np.hstack([base.position[rows], base.quaternion_xyzw[rows]])
-    return [BaseMotion(pose, twist) for pose, twist in zip(poses, base.twist[rows], strict=True)]
+    return [FrameMotion(pose, twist) for pose, twist in zip(poses, base.twist[rows], strict=True)]
 
 
 def positions_at(trajectory: Trajectory, row: int) -> dict[str, Any]:

@@ -24,8 +24,16 @@ from multiarm.errors import ModelError
 
 LAYOUTS = [
     Layout(("arm",), (0, 3), (0, 3), ("arm",), (0, 2), (0,)),
-    Layout(("left", "right"), (0, 3, 5), (0, 3, 5), ("left", "right"), (0, 2, 4), (0, 1), frames=3),
-    Layout((), (0,), (0,), (), (0,), (), frames=2),
+    Layout(
+        ("left", "right"),
+        (0, 3, 5),
+        (0, 3, 5),
+        ("left", "right"),
+        (0, 2, 4),
+        (0, 1),
+        ("a", "b", "c"),
+    ),
+    Layout((), (0,), (0,), (), (0,), (), ("a", "b")),
     Layout(
         ("fixed", "a", "b"),
         (0, 2, 9, 15),

@@ -223,7 +223,7 @@ def test_interpolation_leaves_the_state_as_it_was():
     _, system = accelerations("four_bar", math.pi + 1e-4, 6.0, 1e-13)
     b = data_of(system).arrays
     np.testing.assert_array_equal(
-        np.concatenate([b.state.object_pose, b.state.joint_positions]), state.position
+        np.concatenate([b.state.poses[0], b.state.joint_positions]), state.position
     )
     np.testing.assert_array_equal(
         np.concatenate([b.state.object_twist, b.state.joint_rates]), state.velocity

@@ -52,7 +52,7 @@ PADDED_MOBILITY = 1e100
 
 
 @inlined
-def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
+def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force, node=NODE):
     """Eliminate the whole system and solve it for one right-hand side.
 
     Parameters
@@ -75,24 +75,24 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force):
     """
     groups, n = work.groups, work.first_joint.size - 1
     work.status.block_by_block = False
-    if not least_pivot(work, W_o, f_j, c) > COUPLED_BELOW:
+    if not least_pivot(work, W_o, f_j, c, node) > COUPLED_BELOW:
         return DEFICIENT
-    work.pivot[n] = solve_node(work, object_inertia, f_o, a_o)
+    work.pivot[n] = solve_node(work, object_inertia, f_o, a_o, node)
     # blocks that are stiff in some directions leave no digits of the object's inertia in the others
     if not work.pivot[n] > COUPLED_BELOW:
         return DEFICIENT
     of_object = packs_of(groups.object, 0)
-    for k in range(NODE):
+    for k in range(node):
         of_object[k] = broadcast(a_o[k])
     for g in range(groups.group.shape[0]):
         group = open_group(groups.group[g])
-        substitute_group(group, packs_of(groups.tables, group.first), of_object)
+        substitute_group(group, packs_of(groups.tables, group.first), of_object, node)
         scatter_unknowns(g, group, work, a_j, force)
     return OK
 
 
 @inlined
-def least_pivot(work, W_o, f_j, c):
+def least_pivot(work, W_o, f_j, c, node):
     """Eliminate all blocks, four at a time; returns the smallest ``NodeWork.pivot``.
 
     It is 0 where an inertia is not positive definite, and where there are no groups since some
@@ -100,16 +100,16 @@ def least_pivot(work, W_o, f_j, c):
     """
     groups, count = work.groups, work.groups.group.shape[0]
     least = 1.0 if count > 0 else 0.0
-    node, factors = packs_of(groups.node, 0), packs_of(groups.factors, 0)
-    for k in range(NODE * (NODE + 1)):
-        node[k] = broadcast(0.0)
+    sums, factors = packs_of(groups.node, 0), packs_of(groups.factors, 0)
+    for k in range(node * (node + 1)):
+        sums[k] = broadcast(0.0)
     for g in range(count):
         group = open_group(groups.group[g])
         table = packs_of(groups.tables, group.first)
         fill_joint_rows(g, group, table, work, f_j)
-        fill_contact_rows(g, group, table, groups, W_o, c)
-        inertia, relative = eliminate_group(group, table, factors, groups.stiffness[g])
-        add_group(group, table, factors, node, groups.block_present[g])
+        fill_contact_rows(g, group, table, groups, W_o, c, node)
+        inertia, relative = eliminate_group(group, table, factors, groups.stiffness[g], node)
+        add_group(group, table, factors, sums, groups.block_present[g], node)
         least = min(least, write_pivots(g, group, work, inertia, relative))
     return least
 
@@ -128,16 +128,16 @@ def write_pivots(g, group, work, inertia, relative):
 
 
 @inlined
-def solve_node(work, object_inertia, f_o, a_o):
+def solve_node(work, object_inertia, f_o, a_o, node):
     """Sum over the blocks and solve for the object; returns the smallest relative pivot."""
-    node, S = packs_of(work.groups.node, 0), work.S
-    for k in range(NODE):
-        row = (NODE + 1) * k
-        a_o[k] = f_o[k] + sum_pack(node[row])
+    sums, S = packs_of(work.groups.node, 0), work.S
+    for k in range(node):
+        row = (node + 1) * k
+        a_o[k] = f_o[k] + sum_pack(sums[row])
         for l in range(k + 1):
-            S[k, l] = object_inertia[k, l] + sum_pack(node[row + 1 + l])
+            S[k, l] = object_inertia[k, l] + sum_pack(sums[row + 1 + l])
     smallest = 1.0
-    for j in range(NODE):
+    for j in range(node):
         diagonal = S[j, j]
         pivot = diagonal
         for k in range(j):
@@ -152,21 +152,21 @@ def solve_node(work, object_inertia, f_o, a_o):
             return 0.0
         smallest = min(smallest, relative)
         S[j, j] = 1.0 / pivot
-        for i in range(j + 1, NODE):
+        for i in range(j + 1, node):
             s = S[i, j]
             for k in range(j):
                 s -= S[i, k] * S[j, k]
             S[i, j] = s
-    for j in range(NODE - 1, -1, -1):
+    for j in range(node - 1, -1, -1):
         s = a_o[j] * S[j, j]
-        for i in range(NODE - 1, j, -1):
+        for i in range(node - 1, j, -1):
             s -= S[i, j] * a_o[i]
         a_o[j] = s
     return smallest
 
 
 @inlined
-def eliminate_group(group, table, factors, stiffness):
+def eliminate_group(group, table, factors, stiffness, node):
     """Eliminate the joints and contacts of four blocks; ``stiffness`` is that of their joints.
 
     Returns the smallest pivot of each inertia or its inverse, 0 where an inertia is not positive
@@ -192,7 +192,7 @@ def eliminate_group(group, table, factors, stiffness):
         weakest = minimum(weakest, zero - diagonal)
         row[i] = one / pivot
         reduce_columns(table, width, factors, 0, i, row, i + 1, right + 1)
-        reduce_columns(table, width, factors, d, i, row, right + 1, right + 1 + NODE)
+        reduce_columns(table, width, factors, d, i, row, right + 1, right + 1 + node)
         row = row + width
     mobile = weakest * stiffest * broadcast(MOBILITY_WEIGHT)  # the diagonal of K over the mobility
     return inertia, min_positive(relative, mobile)
@@ -240,21 +240,21 @@ def reduce_columns(table, width, factors, low, high, row, first, last):
 
 
 @inlined
-def add_group(group, table, factors, node, present):
+def add_group(group, table, factors, sums, present, node):
     """Add four eliminated blocks to the node matrix; ``present`` is 1 for blocks, 0 for padding."""
     d, right, width = group.joints, group.joints + group.contacts, group.width
     share = packs_of(present, 0)[0]
-    for k in range(NODE):
+    for k in range(node):
         above, diagonal = table + (d * width + right + 1 + k), table + d * (width + 1)
         for j in range(d, right):
             factors[j] = above[0] * (diagonal[0] * share)
             above, diagonal = above + width, diagonal + (width + 1)
-        row = node + ((NODE + 1) * k - right)  # the table's right column comes first
+        row = sums + ((node + 1) * k - right)  # the table's right column comes first
         reduce_columns(table, width, factors, d, right, row, right, right + 2 + k)
 
 
 @inlined
-def substitute_group(group, table, of_object):
+def substitute_group(group, table, of_object, node):
     """Back substitution for four blocks; writes the unknowns into the row after the table."""
     d, right, width = group.joints, group.joints + group.contacts, group.width
     solution = row = table + right * width
@@ -262,7 +262,7 @@ def substitute_group(group, table, of_object):
         row = row + (-width)
         s = row[right]
         if i >= d:
-            for k in range(NODE):
+            for k in range(node):
                 s = s - row[right + 1 + k] * of_object[k]
         for k in range(right - 1, i, -1):
             s = s - row[k] * solution[k]
@@ -291,7 +291,7 @@ def fill_joint_rows(g, group, table, work, f_j):
 
 
 @inlined
-def fill_contact_rows(g, group, table, groups, W_o, c):
+def fill_contact_rows(g, group, table, groups, W_o, c, node):
     """Write ``c`` and ``W_o^T`` of four blocks into their table, and zeros for ``K``."""
     d, m, width = group.joints, group.contacts, group.width
     present, index = packs_of(groups.contact_present[g], 0), groups.contact_index[g]
@@ -304,8 +304,8 @@ def fill_contact_rows(g, group, table, groups, W_o, c):
             row[d + b] = zero
         p = index[LANES * a : LANES * a + LANES]
         row[d + m] = gather_pack(c, p[0], p[1], p[2], p[3])
-        w0, w1, w2, w3 = NODE * p[0], NODE * p[1], NODE * p[2], NODE * p[3]
-        for k in range(NODE):
+        w0, w1, w2, w3 = node * p[0], node * p[1], node * p[2], node * p[3]
+        for k in range(node):
             row[d + m + 1 + k] = held * gather_pack(W_o, w0 + k, w1 + k, w2 + k, w3 + k)
         row = row + width
 

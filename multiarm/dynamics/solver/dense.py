@@ -34,7 +34,7 @@ from multiarm.dynamics.solver.factors import rank_of
 class SystemSolution(NamedTuple):
     """Solution of the constrained system for one right-hand side."""
 
-    object_acceleration: np.ndarray  # (6,) world axes, classical
+    object_acceleration: np.ndarray  # (6 F,) of the objects, world axes, classical
     joint_accelerations: list[np.ndarray]  # (n_i,)
     contact_forces: list[np.ndarray]  # (N_i,) positive = pushing, the thesis's -mu
     unique: list[np.ndarray]  # (N_i,) which contact forces the equations determine
@@ -60,11 +60,11 @@ def solve_dense(
 
     Parameters
     ----------
-    M_o, f_o : (6, 6), (6,)
-        Object's inertia and right-hand side.
+    M_o, f_o : (6 F, 6 F), (6 F,)
+        Objects' inertia and right-hand side.
     M, f_j : lists of (n_i, n_i), (n_i,)
         Blocks' inertias and right-hand sides.
-    W_o, W, c : lists of (6, N_i), (n_i, N_i), (N_i,)
+    W_o, W, c : lists of (6 F, N_i), (n_i, N_i), (N_i,)
         Constraints ``W_o^T a_o + W_i^T a_i = c_i``.
     reaction_o, reaction : lists like W_o, W, optional
         Matrices of the contact forces where these differ from the constraints (friction).
@@ -100,10 +100,10 @@ def solve_dense(
         x, free = _solve_singular(scaled, right, rows, columns, size)
         unique = np.linalg.norm(free[size:], axis=1) < PART_TOLERANCE
         moving = _moving(free, size)
-    bounds = np.cumsum([w.shape[1] for w in W])[:-1]
+    bounds, node = np.cumsum([w.shape[1] for w in W])[:-1], len(f_o)
     return SystemSolution(
-        object_acceleration=x[:6],
-        joint_accelerations=np.split(x[6:size], np.cumsum([m.shape[0] for m in M])[:-1]),
+        object_acceleration=x[:node],
+        joint_accelerations=np.split(x[node:size], np.cumsum([m.shape[0] for m in M])[:-1]),
         contact_forces=np.split(x[size:], bounds),
         unique=np.split(unique, bounds),
         rank=rank,

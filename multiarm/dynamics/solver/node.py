@@ -55,7 +55,7 @@ from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Flag, Floats1, Floats2, Floats3, Ints1, Ints2, Numbers
 
 NODE = 6
-"""Unknowns of the node: the object's acceleration."""
+"""Unknowns of the node with one object: its acceleration."""
 
 
 class BlockGroup(NamedTuple):
@@ -133,7 +133,10 @@ class NodeWork(NamedTuple):
 
 
 def make_work(
-    joints: list[int], contacts: list[int], levers: Sequence[np.ndarray] | None = None
+    joints: list[int],
+    contacts: list[int],
+    levers: Sequence[np.ndarray] | None = None,
+    node: int = NODE,
 ) -> NodeWork:
     """Allocate for blocks with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
     n, d = len(joints), max(joints)
@@ -144,7 +147,7 @@ def make_work(
     M = np.zeros((n, d, d))
     for inertia, count in zip(M, joints, strict=True):
         inertia[range(count, d), range(count, d)] = 1.0
-    shapes = work_shapes(joints, contacts)
+    shapes = work_shapes(joints, contacts, node)
     work = NodeWork(
         first_joint=first_indices(joints),
         first_contact=first_indices(contacts),
@@ -153,20 +156,20 @@ def make_work(
         pivot=np.ones(n + 1),
         status=NodeStatus(),
         L=np.zeros((n, d, d)),
-        S=np.zeros((NODE, NODE)),
+        S=np.zeros((node, node)),
         y=np.zeros(sum(joints)),
-        groups=_make_groups(joints, contacts),
+        groups=_make_groups(joints, contacts, node),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
     )
     tables = aligned_zeros(LANES * write_groups(group_order(joints, contacts), work))
     return work._replace(groups=work.groups._replace(tables=tables))
 
 
-def work_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+def work_shapes(joints: list[int], contacts: list[int], node: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of :class:`NodeWork` that depend on the contacts."""
     n, d, m = len(joints), max(joints), max(contacts)
     return {
-        "W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, NODE), "z": (sum(contacts),),
+        "W": (n, d, m), "Y": (n, d, m), "G": (n, m, m), "Z": (n, m, node), "z": (sum(contacts),),
     }  # fmt: skip
 
 
@@ -181,15 +184,15 @@ def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int,
     }  # fmt: skip
 
 
-def _make_groups(joints: list[int], contacts: list[int]) -> BlockGroups:
+def _make_groups(joints: list[int], contacts: list[int], node: int) -> BlockGroups:
     """Allocate the groups, but for their tables."""
     whole, shapes = (
         {"group", "blocks", "joint_index", "contact_index"},
         group_shapes(joints, contacts),
     )
     return BlockGroups(
-        node=aligned_zeros(LANES * NODE * (NODE + 1)),
-        object=aligned_zeros(LANES * NODE),
+        node=aligned_zeros(LANES * node * (node + 1)),
+        object=aligned_zeros(LANES * node),
         factors=aligned_zeros(LANES * (max(joints) + max(contacts))),
         pivot=aligned_zeros(LANES * 2),
         tables=np.zeros(0),
@@ -219,7 +222,7 @@ def write_groups(order, work):
             group.joints = max(group.joints, joint_count(block, work))
             group.contacts = max(group.contacts, contact_count(block, work))
         unknowns = group.joints + group.contacts
-        group.first, group.width = packs, unknowns + 1 + NODE
+        group.first, group.width = packs, unknowns + 1 + work.S.shape[0]
         packs += group.width * (unknowns + 1)  # the last row is for the unknowns
     return packs
 
@@ -264,34 +267,33 @@ def first_indices(counts: list[int]) -> np.ndarray:
 
 
 # --- vectors of the node --------------------------------------------------------------------------
-# Their number of entries is a constant: these loops are none in compiled code.
 
 
 @inlined
 def set_vector(row, out):
     """``out = row``."""
-    for k in range(NODE):
+    for k in range(row.size):
         out[k] = row[k]
 
 
 @inlined
 def scale_vector(factor, out):
     """``out *= factor``."""
-    for k in range(NODE):
+    for k in range(out.size):
         out[k] *= factor
 
 
 @inlined
 def add_multiple(factor, row, out):
     """``out += factor row``."""
-    for k in range(NODE):
+    for k in range(row.size):
         out[k] += factor * row[k]
 
 
 @inlined
 def less_product(s, row, x):
     """``s - row . x``."""
-    for k in range(NODE):
+    for k in range(row.size):
         s -= row[k] * x[k]
     return s
 
@@ -299,7 +301,7 @@ def less_product(s, row, x):
 @inlined
 def add_square(z, S):
     """``S += z z^T``, in the lower triangle."""
-    for k in range(NODE):
+    for k in range(z.size):
         for l in range(k + 1):
             S[k, l] += z[k] * z[l]
 

@@ -46,7 +46,6 @@ from multiarm.dynamics.solver.factors import (
     solve_lu_transposed,
 )
 from multiarm.dynamics.solver.node import (
-    NODE,
     add_multiple,
     contact_count,
     joint_count,
@@ -83,7 +82,7 @@ def decompose_coupled(work, W_o, Wr_o):
 @inlined
 def write_columns(work, W_o, Wr_o):
     """Columns of G and G~, scaled to unit length (columns of zeros and roundings stay such)."""
-    count, length = 0, NODE
+    count, length, node = 0, W_o.shape[1], W_o.shape[1]
     for i in range(work.coupled.size):
         if work.coupled[i] == 0:
             continue
@@ -95,8 +94,8 @@ def write_columns(work, W_o, Wr_o):
             clear(ur)
             set_vector(W_o[first + a], u)
             set_vector(Wr_o[first + a], ur)
-            forward(work.Ls, NODE, u)
-            forward(work.Ls, NODE, ur)
+            forward(work.Ls, node, u)
+            forward(work.Ls, node, ur)
             for j in range(d):
                 u[length + j], ur[length + j] = work.Y[i, j, a], work.Yr[i, j, a]
             count += 1
@@ -140,15 +139,16 @@ def normalize(x, n):
 def form_core(work):
     """Write ``U^T P U~`` by columns, and its transpose."""
     rank, reaction_rank = work.status.rank, work.status.reaction_rank
-    x = work.node_vector
+    x, node = work.node_vector, work.node_vector.size
     for j in range(reaction_rank):
-        set_vector(work.Ur[j], x)
-        solve_lu(work.node, NODE, work.node_pivots, x)
+        for k in range(node):
+            x[k] = work.Ur[j, k]
+        solve_lu(work.node, node, work.node_pivots, x)
         for i in range(rank):
             s = 0.0
-            for k in range(NODE):
+            for k in range(node):
                 s += work.U[i, k] * x[k]
-            for k in range(NODE, work.status.length):
+            for k in range(node, work.status.length):
                 s += work.U[i, k] * work.Ur[j, k]
             work.core[j, i] = s
             work.core_left[i, j] = s
@@ -212,9 +212,9 @@ def find_null_constraints(work, W_o, Wr_o):
                     vector[work.place[a]] += part * work.scale[a] * work.V[j, a]
             x = work.node_vector
             object_wrench(work, W_o, vector, x)
-            forward(work.Ls, NODE, x)
-            solve_lu_transposed(work.node, NODE, work.node_pivots, x)
-            backward(work.Ls, NODE, x)
+            forward(work.Ls, x.size, x)
+            solve_lu_transposed(work.node, x.size, work.node_pivots, x)
+            backward(work.Ls, x.size, x)
             extend_to_regular_blocks(work, Wr_o, x, vector, True)
             status.null_constraints += 1
     orthonormalize(vectors, status.null_constraints, total)
@@ -224,9 +224,9 @@ def find_null_constraints(work, W_o, Wr_o):
 @kernel
 def solve_object(work, x):
     """Solve with the node matrix ``S`` of the blocks that are not coupled, in place."""
-    forward(work.Ls, NODE, x)
-    solve_lu(work.node, NODE, work.node_pivots, x)
-    backward(work.Ls, NODE, x)
+    forward(work.Ls, x.size, x)
+    solve_lu(work.node, x.size, work.node_pivots, x)
+    backward(work.Ls, x.size, x)
 
 
 @kernel

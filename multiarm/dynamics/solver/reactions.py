@@ -158,15 +158,15 @@ class ReactionWork(NamedTuple):
     block_rows: Floats2
 
 
-def make_reaction_work(joints: list[int], contacts: list[int]) -> ReactionWork:
+def make_reaction_work(joints: list[int], contacts: list[int], node: int = NODE) -> ReactionWork:
     """Allocate for blocks with ``joints[i]`` joints, ``contacts[i]`` contacts, levers of 1 m."""
     n, d, D = len(joints), max(joints), sum(joints)
     shapes = {
-        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (NODE, NODE), "Ls": (NODE, NODE),
-        "node": (NODE, NODE), "node_pivots": (NODE,), "coupled": (n,), "undetermined": (n,),
-        "pivot": (n + 1,), "whitened": (NODE, NODE), "y": (D,), "unloaded": (NODE,),
-        "node_vector": (NODE,),
-        **reaction_shapes(joints, contacts),
+        "M": (n, d, d), "L": (n, d, d), "levers": (n, d), "Lo": (node, node), "Ls": (node, node),
+        "node": (node, node), "node_pivots": (node,), "coupled": (n,), "undetermined": (n,),
+        "pivot": (n + 1,), "whitened": (node, node), "y": (D,), "unloaded": (node,),
+        "node_vector": (node,),
+        **reaction_shapes(joints, contacts, node),
     }  # fmt: skip
     whole = {"K_pivots", "node_pivots", "coupled", "undetermined", "place"}
     work = ReactionWork(
@@ -179,18 +179,20 @@ def make_reaction_work(joints: list[int], contacts: list[int]) -> ReactionWork:
     return work
 
 
-def reaction_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+def reaction_shapes(
+    joints: list[int], contacts: list[int], node: int
+) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
     n, d, m, D, N = len(joints), max(joints), max(contacts), sum(joints), sum(contacts)
     return {
         "W": (n, d, m), "Wr": (n, d, m), "Y": (n, d, m), "Yr": (n, d, m), "K": (n, m, m),
         "K_pivots": (n, m),
         "block_scale": (N,), "block_scale_r": (N,), "place": (N,), "scale": (N,), "scale_r": (N,),
-        "U": (N, NODE + D), "Ur": (N, NODE + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
+        "U": (N, node + D), "Ur": (N, node + D), "V": (N, N), "Vr": (N, N), "sigma": (N,),
         "sigma_r": (N,), "core": (N, N), "core_V": (N, N), "core_left": (N, N),
         "core_left_V": (N, N), "core_sigma": (N,), "core_left_sigma": (N,),
-        "null_force": (N, N + NODE), "null_constraint": (N, N + NODE), "z": (N,), "left": (N,),
-        "right": (N,), "without_friction": (m, m), "block_vector": (m,), "block_rows": (m, NODE),
+        "null_force": (N, N + node), "null_constraint": (N, N + node), "z": (N,), "left": (N,),
+        "right": (N,), "without_friction": (m, m), "block_vector": (m,), "block_rows": (m, node),
     }  # fmt: skip
 
 
@@ -203,9 +205,9 @@ def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
     ``work.M[i]`` are the blocks' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
     ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6) the object's rows.
     """
-    n = work.coupled.size
-    copy_lower(object_inertia, NODE, work.Lo)
-    if not factor_cholesky(work.Lo, NODE) > 0.0:
+    n, node = work.coupled.size, work.Lo.shape[0]
+    copy_lower(object_inertia, node, work.Lo)
+    if not factor_cholesky(work.Lo, node) > 0.0:
         return OBJECT_INERTIA, 0
     for i in range(n):
         status = factor_block(i, work)
@@ -269,8 +271,8 @@ def relative_mobility(i, work, W_o):
     for row in range(work.first_contact[i], work.first_contact[i + 1]):
         square = 0.0
         copy(W_o[row], x)
-        forward(work.Lo, NODE, x)
-        for k in range(NODE):
+        forward(work.Lo, x.size, x)
+        for k in range(x.size):
             square += x[k] * x[k]
         square *= work.block_scale[row] * work.block_scale[row]  # one over that of the block
         if square > 1.0:
@@ -292,23 +294,23 @@ def gram(A, B, n, m, K):
 @kernel
 def factor_node(work, W_o, Wr_o, object_inertia):
     """Node matrix of blocks that are not coupled, in inertia coordinates; its relative pivot."""
-    S, C = work.node, work.block_rows
-    copy_block(object_inertia, NODE, NODE, S)
-    copy_lower(object_inertia, NODE, work.Ls)
+    S, C, node = work.node, work.block_rows, work.node.shape[0]
+    copy_block(object_inertia, node, node, S)
+    copy_lower(object_inertia, node, work.Ls)
     for i in range(work.coupled.size):
         if work.coupled[i] != 0:
             continue
         first = work.first_contact[i]
         solve_object_rows(i, work, W_o, C)
         for a in range(contact_count(i, work)):
-            for k in range(NODE):
+            for k in range(node):
                 add_multiple(Wr_o[first + a, k], C[a], S[k])
         add_without_friction(i, work, W_o)
     work.status.evenness = evenness(work)
-    if not factor_cholesky(work.Ls, NODE) > 0.0:
+    if not factor_cholesky(work.Ls, node) > 0.0:
         return 0.0
     whiten(S, work.Ls)
-    return factor_lu(S, NODE, work.node_pivots)
+    return factor_lu(S, node, work.node_pivots)
 
 
 @inlined
@@ -317,16 +319,16 @@ def evenness(work):
 
     Relative to its largest entry: 1 without any block.
     """
-    T, largest, smallest = work.whitened, 0.0, math.inf
-    for k in range(NODE):
+    T, node, largest, smallest = work.whitened, work.Ls.shape[0], 0.0, math.inf
+    for k in range(node):
         for l in range(k + 1):
             T[k, l] = T[l, k] = work.Ls[k, l]
     whiten(T, work.Lo)
-    for k in range(NODE):
+    for k in range(node):
         largest = max(largest, T[k, k])
-    if not factor_cholesky(T, NODE) > 0.0:
+    if not factor_cholesky(T, node) > 0.0:
         return 0.0
-    for k in range(NODE):
+    for k in range(node):
         smallest = min(smallest, 1.0 / (T[k, k] * T[k, k]))
     return smallest / largest
 
@@ -334,19 +336,20 @@ def evenness(work):
 @kernel
 def whiten(S, L):
     """Write ``L^-1 S L^-T`` in place."""
+    node = L.shape[0]
     for _ in range(2):  # S becomes S^T L^-T = (L^-1 S)^T
-        for k in range(NODE):
+        for k in range(node):
             for l in range(k):
                 S[k, l], S[l, k] = S[l, k], S[k, l]
-        for k in range(NODE):
-            forward(L, NODE, S[k])
+        for k in range(node):
+            forward(L, node, S[k])
 
 
 @inlined
 def solve_object_rows(i, work, W_o, C):
     """Write ``K^-1 W_o^T`` of one block, (m, 6)."""
     first, m, u = work.first_contact[i], contact_count(i, work), work.block_vector
-    for k in range(NODE):
+    for k in range(W_o.shape[1]):
         for a in range(m):
             u[a] = W_o[first + a, k]
         solve_block(i, work, u, False)
@@ -406,8 +409,8 @@ def unconstrained_motions(work, W_o, f_o, f_j, c):
     Contradictions are removed from ``z`` by the least change.
     """
     copy(f_o, work.unloaded)
-    forward(work.Lo, NODE, work.unloaded)
-    backward(work.Lo, NODE, work.unloaded)
+    forward(work.Lo, f_o.size, work.unloaded)
+    backward(work.Lo, f_o.size, work.unloaded)
     for i in range(work.coupled.size):
         d0, first = work.first_joint[i], work.first_contact[i]
         unconstrained_motion(i, work, f_j)
@@ -419,7 +422,7 @@ def unconstrained_motions(work, W_o, f_o, f_j, c):
         vector, along = work.null_constraint[v], 0.0
         for row in range(c.size):
             along += vector[row] * work.z[row]
-            for k in range(NODE):
+            for k in range(f_o.size):
                 along -= vector[row] * W_o[row, k] * work.unloaded[k]
         for row in range(c.size):
             work.z[row] -= along * vector[row]

@@ -122,27 +122,27 @@ class CoupledWork(NamedTuple):
     status: CoupledStatus
 
 
-def make_coupled(joints: list[int], contacts: list[int]) -> CoupledWork:
+def make_coupled(joints: list[int], contacts: list[int], node: int = NODE) -> CoupledWork:
     """Allocate for blocks with ``joints[i]`` joints and ``contacts[i]`` contacts."""
     n, whole = len(joints), {"block", "direction", "pivots"}
-    shapes = coupled_shapes(joints, contacts)
+    shapes = coupled_shapes(joints, contacts, node)
     return CoupledWork(
         deficient=np.zeros(n, dtype=np.int64),
         scale=np.zeros(n),
         split=np.zeros(n),
-        inertia=np.zeros((NODE, NODE)),
-        wrench=np.zeros(NODE),
+        inertia=np.zeros((node, node)),
+        wrench=np.zeros(node),
         status=CoupledStatus(margin=np.inf),
         **{name: np.zeros(s, np.int64 if name in whole else float) for name, s in shapes.items()},
     )
 
 
-def coupled_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+def coupled_shapes(joints: list[int], contacts: list[int], node: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays that depend on the contacts."""
     n, d, m, N = len(joints), max(joints), max(contacts), sum(contacts)
     return {
         "V": (n, m, m), "A": (n, m, d), "sigma": (N,), "block": (N,), "direction": (N,),
-        "C": (N, NODE), "B": (N, NODE), "basis": (NODE + N, N), "images": (NODE + N, NODE + N),
+        "C": (N, node), "B": (N, node), "basis": (node + N, N), "images": (node + N, node + N),
         "z": (N,), "right": (N,), "unknown": (N,), "pivots": (m,),
     }  # fmt: skip
 
@@ -163,8 +163,8 @@ def object_mobility(row, coupled):
     """``sqrt(w^T M_o^-1 w)``, which ``sigma`` is compared with."""
     wrench = coupled.wrench
     copy(row, wrench)
-    forward(coupled.inertia, NODE, wrench)
-    return norm(wrench, NODE)
+    forward(coupled.inertia, wrench.size, wrench)
+    return norm(wrench, wrench.size)
 
 
 @kernel
@@ -207,12 +207,12 @@ def split_block(i, work, coupled, W_o):
     least = max(IMMOVABLE * scale, IMMOVABLE_BY_OBJECT * by_object)
     for a in range(m):
         wrench, sigma = work.Z[i, a], coupled.sigma[first + a]
-        for k in range(NODE):
+        for k in range(wrench.size):
             wrench[k] = 0.0
             for b in range(m):
                 wrench[k] += V[a, b] * W_o[first + b, k]
         if sigma > coupled.split[i]:
-            for k in range(NODE):
+            for k in range(wrench.size):
                 wrench[k] /= sigma
             add_square(wrench, work.S)
             continue
@@ -233,10 +233,11 @@ def sigma_of(u, work, coupled):
 
 @kernel
 def lever_length(W_o):
-    """Largest moment of a unit contact force on the object [m]; 1 when there is none."""
+    """Largest moment of a unit contact force on an object [m]; 1 when there is none."""
     longest = 0.0
     for k in range(W_o.shape[0]):
-        longest = max(longest, norm(W_o[k, 3:6], 3))
+        for turn in range(3, W_o.shape[1], 6):
+            longest = max(longest, norm(W_o[k, turn : turn + 3], 3))
     return longest if longest > 0.0 else 1.0
 
 
@@ -251,17 +252,17 @@ def find_rank(work, coupled, lever, gap):
     """Write an orthonormal basis of the unknowns outside the null space, and the rank."""
     basis, status = coupled.basis, coupled.status
     tolerance = rank_tolerance(gap, lever)
-    p, rows = status.unknowns, NODE
+    p, rows, node = status.unknowns, coupled.C.shape[1], coupled.C.shape[1]
     for u in range(p):
-        for k in range(NODE):
-            basis[k, u] = coupled.C[u, k] / (1.0 if k < 3 else lever)
+        for k in range(node):
+            basis[k, u] = coupled.C[u, k] / (1.0 if k % 6 < 3 else lever)
         sigma = sigma_of(u, work, coupled)
         if sigma > 0.0:
             for w in range(p):
                 basis[rows, w] = 0.0
             basis[rows, u] = sigma / coupled.scale[coupled.block[u]]
             rows += 1
-    status.movable = rows - NODE
+    status.movable = rows - node
     orthogonalize(basis, rows, p, basis, 0)
     rank = 0
     status.margin = math.inf
@@ -280,22 +281,22 @@ def find_rank(work, coupled, lever, gap):
 def image_basis(work, coupled):
     """``coupled.images`` of ``coupled.basis``, both rotated until the images are orthogonal."""
     basis, images, status = coupled.basis, coupled.images, coupled.status
-    p = status.unknowns
+    p, node = status.unknowns, coupled.C.shape[1]
     for u in range(p):
         copy(coupled.C[u], coupled.B[u])
-        forward(work.S, NODE, coupled.B[u])
+        forward(work.S, node, coupled.B[u])
     for r in range(status.rank):
-        for k in range(NODE):
+        for k in range(node):
             images[r, k] = 0.0
         for u in range(p):
             add_multiple(basis[r, u], coupled.B[u], images[r])
-        column = NODE
+        column = node
         for u in range(p):
             sigma = sigma_of(u, work, coupled)
             if sigma > 0.0:
                 images[r, column] = basis[r, u] * sigma
                 column += 1
-    orthogonalize(images, status.rank, NODE + status.movable, basis, p)
+    orthogonalize(images, status.rank, node + status.movable, basis, p)
 
 
 @inlined
@@ -308,8 +309,9 @@ def couple(work, coupled, W_o, object_inertia, decompose_all=False, gap=0.0):
     the smallest relative pivot of the object's inertia or of the node matrix; the factors are
     usable only when that is positive (and not NaN).
     """
-    copy_lower(object_inertia, NODE, coupled.inertia)
-    pivot = factor_cholesky(coupled.inertia, NODE)
+    node = object_inertia.shape[0]
+    copy_lower(object_inertia, node, coupled.inertia)
+    pivot = factor_cholesky(coupled.inertia, node)
     if not pivot > 0.0:
         return pivot
     pivot = build_node(work, coupled, W_o, object_inertia, decompose_all)
@@ -329,7 +331,7 @@ def build_node(work, coupled, W_o, object_inertia, decompose_all):
     """
     status = coupled.status
     status.blocks = status.unknowns = 0
-    copy_lower(object_inertia, NODE, work.S)
+    copy_lower(object_inertia, work.S.shape[0], work.S)
     for i in range(work.first_joint.size - 1):
         coupled.deficient[i] = 1 if decompose_all or not work.pivot[i] > COUPLED_BELOW else 0
         if coupled.deficient[i] != 0:
@@ -338,7 +340,7 @@ def build_node(work, coupled, W_o, object_inertia, decompose_all):
                 return math.nan
         else:
             add_to_node(i, work)
-    return factor_cholesky(work.S, NODE)
+    return factor_cholesky(work.S, work.S.shape[0])
 
 
 @kernel
@@ -363,7 +365,7 @@ def reduce_deficient_constraints(i, work, coupled, c, a_o):
 def solve_coupled_forces(work, coupled, a_o):
     """Forces of the coupled system; adds ``B`` times these to ``a_o``, given as ``L_S^-1 a_o``."""
     status = coupled.status
-    p, width = status.unknowns, NODE + status.movable
+    p, width = status.unknowns, a_o.size + status.movable
     for u in range(p):
         z = coupled.z[work.first_contact[coupled.block[u]] + coupled.direction[u]]
         coupled.right[u], coupled.unknown[u] = less_product(z, coupled.B[u], a_o), 0.0
@@ -413,9 +415,9 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
             reduce_constraints(i, work, c, a_o)
         else:
             reduce_deficient_constraints(i, work, coupled, c, a_o)
-    forward(work.S, NODE, a_o)
+    forward(work.S, a_o.size, a_o)
     solve_coupled_forces(work, coupled, a_o)
-    backward(work.S, NODE, a_o)
+    backward(work.S, a_o.size, a_o)
     for i in range(n):
         if coupled.deficient[i] == 0:
             recover_forces(i, work, a_o, force)

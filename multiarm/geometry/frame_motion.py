@@ -1,4 +1,4 @@
-"""How the floating base of a robot moves."""
+"""How a floating frame moves: an object, or the base of a robot."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from multiarm.public import public_names
 
 
 @dataclass(frozen=True, eq=False)
-class BaseMotion:
-    """Pose and twist of a robot's floating base, the frame of its root link.
+class FrameMotion:
+    """Pose and twist of an object at its centre of mass, or of a robot's floating base.
+
+    The frame of a base is that of the robot's root link.
 
     Attributes
     ----------
