@@ -299,6 +299,18 @@ def require_no_floating_base(model: Model, why: str) -> None:
         )
 
 
+def require_one_object(model: Model, why: str) -> None:
+    """Refuse a model with several objects; ``why`` is a clause.
+
+    Raises
+    ------
+    ModelError
+    """
+    objects = model.layout.objects
+    if len(objects) > 1:
+        raise ModelError(f"there are {len(objects)} objects, {', '.join(objects)}: {why}")
+
+
 def row_constants(table: ContactTable, layout: Layout) -> dict[str, Any]:
     """Constants of the rows of a contact table."""
     of_joints = is_of_joints(fields_of(Code, table.codes[: layout.contacts]).kind)
