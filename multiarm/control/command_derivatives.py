@@ -41,6 +41,7 @@ from multiarm.dynamics.coordinates import block_columns, column_of_state, force_
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.references import Reference, References
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
@@ -108,7 +109,7 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     if prepared.function == 0:
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = max(layout.joint_counts), max(layout.contact_counts)
-        width = block_columns(d, 0).end
+        width = block_columns(TWIST, d, 0).end
         _, motion = equation_work(data, states)
         _, excess = equation_work(data, states, weights=False)
         arrays = CommandDerivatives(
@@ -160,7 +161,7 @@ def differentiate_contact_forces(data, work, motion, rest, derivatives):
     size, states = wrench.shape
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_block = block_columns(n, 0)
+        of_block = block_columns(TWIST, n, 0)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(forces[k])
             for c in range(of_block.rates):
@@ -195,7 +196,7 @@ def add_inverse_dynamics(data, work, motion):
     columns = force_columns(data)
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_block = block_columns(n, 0)
+        of_block = block_columns(TWIST, n, 0)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
             for c in range(of_block.end):
@@ -210,7 +211,7 @@ def add_motion_derivatives(data, work, i, motion, excess, derivatives):
         work.first_joint[i + 1] - work.first_joint[i],
         work.first_contact[i],
     )
-    m, of_block, X = work.first_contact[i + 1] - r0, block_columns(n, 0), derivatives.motions
+    m, of_block, X = work.first_contact[i + 1] - r0, block_columns(TWIST, n, 0), derivatives.motions
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
         for c in range(of_block.end):

@@ -49,6 +49,7 @@ from multiarm.dynamics.equation_derivatives import open_equations, write_derivat
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import cfunc, clear, copy, inlined, kernel
@@ -149,7 +150,7 @@ def write_derivatives_at_fixed_multipliers(address, size, at, _t):
             balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        of_block = block_columns(work.first_joint[i + 1] - d0, 0)
+        of_block = block_columns(TWIST, work.first_joint[i + 1] - d0, 0)
         for k in range(r0, work.first_contact[i + 1]):
             for c in range(of_block.rates):
                 if c < of_block.twists or c >= of_block.positions:  # y is no velocity of the state

@@ -32,7 +32,7 @@ from multiarm.contacts.joint import open_frames
 from multiarm.contacts.motion import motion_relative_to, open_body
 from multiarm.control.null_space import count_held, holds_pose
 from multiarm.dynamics.contact_derivatives import (
-    OBJECT,
+    FIRST_OBJECT,
     OF_SEEN,
     SEEN,
     write_column_displacement,
@@ -47,6 +47,7 @@ from multiarm.dynamics.equation_derivatives import (
     write_connected_body,
     write_object,
 )
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, kernel
@@ -83,7 +84,7 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     size = n + 6 * count_held(i, model, data)
-    of_block, arm = block_columns(n, 0), open_equations(derivatives.excess)
+    of_block, arm = block_columns(TWIST, n, 0), open_equations(derivatives.excess)
     M, preferred = open_equations(derivatives.motion).M[i], command.preferred
     K, X = np.zeros((size, size)), np.zeros((size, of_block.end))
     pivots = np.zeros(size, dtype=np.int64)
@@ -93,7 +94,7 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
         for k in range(n):
             K[j, k] = M[j, k]
             X[j, of_block.rates + k] = -law.free_rate * M[j, k]
-    write_object(data, AT_REST, AT_REST, arm)
+    write_object(0, data, AT_REST, AT_REST, arm)
     subtract_torque_slopes(i, of_block, command, model, data, derivatives, X)
     for j in range(n):
         arm.a_j[d0 + j] = preferred[d0 + j]
@@ -101,7 +102,7 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
         subtract_slopes(i, of_block, 1.0, 0.0, 0.0, model, data, derivatives, X)
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
-    write_object(data, data.state.twists[0], command.acceleration, arm)
+    write_object(0, data, data.state.twists[0], command.acceleration, arm)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
         i, of_block, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X
@@ -131,7 +132,7 @@ def write_held(i, link, derivatives):
     """
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
     write_connected_body(i, link, links, arm, arm.first_body, arm.first_moved)
-    write_connected_body(i, OBJECT, links, arm, arm.second_body, arm.second_moved)
+    write_connected_body(i, FIRST_OBJECT, links, arm, arm.second_body, arm.second_moved)
     seen = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     write_seen_motion(arm.first_body, arm.second_body, seen, arm.scratch[SEEN])
 
@@ -162,7 +163,7 @@ def subtract_wrench_slopes(i, link, of_block, frame, multipliers, derivatives, X
     ``multipliers`` (6,) in world axes.
     """
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    bodies = link, OBJECT
+    bodies = link, FIRST_OBJECT
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
@@ -220,7 +221,7 @@ def subtract_slopes_of(link, of_block, frame, of_acceleration, rate, stiffness, 
     turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
     theta = rotate(G, rotation_vector(turned))
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
-    bodies = link, OBJECT
+    bodies = link, FIRST_OBJECT
     for c in range(of_block.end):
         write_column_displacement(bodies, of_block.end, of_block, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)

@@ -40,6 +40,7 @@ from multiarm.dynamics.equation_derivatives import (
     write_object,
 )
 from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, write_multipliers
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
@@ -74,10 +75,10 @@ def write_computed_torque_derivatives(address, size, at, t):
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    write_object(data, data.state.twists[0], command.acceleration, motion)
+    write_object(0, data, data.state.twists[0], command.acceleration, motion)
     status = differentiate_bodies(struct, derivatives.motion)
     add_object_equation(
-        data.bodies.object_inertia, data.state.twists[0], command.acceleration, motion
+        0, data.bodies.object_inertia, data.state.twists[0], command.acceleration, motion
     )
     if status == OK:
         status = differentiate_torques(law, command, True, struct, model, data, work, derivatives)
@@ -125,7 +126,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
         n = work.first_joint[i + 1] - work.first_joint[i]
         if n == 0:  # the surroundings
             continue
-        rates = block_columns(n, 0).rates
+        rates = block_columns(TWIST, n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
@@ -206,7 +207,7 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
         if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_block, columns = block_columns(work.first_joint[i + 1] - d0, 0), force_columns(data)
+    of_block, columns = block_columns(TWIST, work.first_joint[i + 1] - d0, 0), force_columns(data)
     for c in range(of_block.rates):
         if of_block.twists <= c < of_block.positions:
             continue

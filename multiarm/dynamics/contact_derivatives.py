@@ -70,8 +70,9 @@ VALUE = TWIST
 # Rows of scratch: displacements of both bodies, and of the first as the second sees it; its seen
 # motion, as it is and displaced; the second's, at rest.
 OF_FIRST, OF_SECOND, OF_SEEN, SEEN, MOVED, STILL, SCRATCH_ROWS = range(7)
-# Bodies that no joint of the block moves: the base, and with it the world; the object.
-BASE, OBJECT = -1, -2
+# Bodies that no joint of the block moves: the base, and with it the world; the first object, after
+# which the others follow downwards.
+BASE, FIRST_OBJECT = -1, -2
 
 
 @kernel
@@ -139,13 +140,15 @@ def write_column_displacement(bodies, placement, columns, c, seen, work):
 def write_body_displacement(body, columns, c, moved, out):
     """Write how a body is displaced in a column.
 
-    ``body`` is the joint of the block that moves it, counted from 0, ``BASE`` or ``OBJECT``;
-    ``moved`` (2 n, 18) has the displacements by the block's joints.
+    ``body`` is the joint of the block that moves it, counted from 0, ``BASE``, or an object, see
+    ``FIRST_OBJECT``; ``moved`` (2 n, 18) has the displacements by the block's joints.
     """
     clear(out)
     if c < columns.positions:
-        if body == OBJECT:
-            out[c] = 1.0
+        of_object = TWIST * (FIRST_OBJECT - body)
+        k = c - of_object if c < columns.twists else c - columns.twists - of_object
+        if body <= FIRST_OBJECT and 0 <= k < TWIST:
+            out[k if c < columns.twists else VELOCITY + k] = 1.0
     elif c < columns.placement and body >= 0:
         for j in range(DISPLACEMENT_WIDTH):
             out[j] = moved[c - columns.positions, j]

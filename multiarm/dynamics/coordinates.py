@@ -186,9 +186,9 @@ class BlockColumns(NamedTuple):
 
 
 @plain
-def block_columns(joints, placements):
+def block_columns(node, joints, placements):
     """The columns of a block with numbers of joints, and of connections that are displaced."""
-    twists, positions, rates, placement = columns_of_state(TWIST + joints, joints)
+    twists, positions, rates, placement = columns_of_state(node + joints, joints)
     end = placement + TWIST * placements
     return BlockColumns(twists, positions, rates, placement, end)
 

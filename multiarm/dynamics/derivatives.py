@@ -24,7 +24,7 @@ The right-hand sides at fixed y come from
 * the contact rows, as functions of the link's motion seen from the object
   (:mod:`multiarm.dynamics.contact_derivatives`).
 
-*Control and effects* add forces :math:`f(x)`: torques on the joints, a wrench on the object.  The
+*Control and effects* add forces :math:`f(x)`: torques on the joints, wrenches on the objects.  The
 responses of ``y`` to these are columns of the same solution, so that
 :math:`dy/dx = \partial y/\partial x + (\partial y/\partial f)\,(\partial f/\partial x)`, with
 the last factor from :mod:`multiarm.dynamics.force_derivatives`.
@@ -56,6 +56,7 @@ from multiarm.dynamics.evaluation import Evaluation
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.force_derivatives import applied_derivatives
 from multiarm.dynamics.layout import Layout
+from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.sensitivity import Derivatives, Motions, columns_of, rows_of
 from multiarm.dynamics.sliding import Slides, friction_of_unit_force
 from multiarm.dynamics.sliding_derivatives import add_friction, friction_derivatives
@@ -67,8 +68,6 @@ from multiarm.dynamics.status import OK
 from multiarm.errors import SolverError
 from multiarm.jit.rows import fields_of
 
-# Derivatives of F_o by a wrench on the object.
-_PUSH = -np.eye(6)
 # Part of the right-hand sides that dependent constraints may contradict: roundings and differences.
 CONSISTENT = 1e-7
 
@@ -84,6 +83,8 @@ def differentiate(
         When the accelerations are not differentiable at this state.
     """
     layout, states = data.model.layout, data.arrays.effects.states.size
+    if parameters:
+        require_one_object(data.model, "there are no derivatives by their parameters yet")
     rows, columns = rows_of(layout, states), columns_of(layout, states, parameters)
     equations = _Equations(data, parameters, columns)
     dependent, message = layout.contacts - evaluation.rank, ""
@@ -139,7 +140,8 @@ def differentiate_friction(data: Data, slides: Slides, derivatives: Derivatives)
     normal = matrix[derivatives.rows["contact_forces"]][slides.row]
     turns = np.zeros((len(slides.row), matrix.shape[1]))
     for turn, angle, i in zip(turns, equations.friction.angle, slides.block, strict=True):
-        d0, of_block = layout.first_joint_of_block[i], block_columns(layout.joint_counts[i], 0)
+        d0 = layout.first_joint_of_block[i]
+        of_block = block_columns(layout.node, layout.joint_counts[i], 0)
         places = [column_of_state(of_all, of_block, d0, c) for c in range(of_block.end)]
         turn[places] = angle[: of_block.end]
         if "placements" in columns and i in layout.blocks_of_robots:
@@ -161,7 +163,7 @@ class _Equations:
     Attributes
     ----------
     wrench : slice
-        Columns of a wrench on the object, which may follow after those that are wanted.
+        Columns of wrenches on the objects, which may follow after those that are wanted.
     width : int
         Number of columns with these.
     friction : FrictionDerivatives
@@ -170,7 +172,7 @@ class _Equations:
     def __init__(self, data: Data, parameters: bool, columns: Mapping[str, slice]) -> None:
         self._data, self._parameters, self._columns = data, parameters, columns
         end = max(part.stop for part in columns.values())
-        self.wrench = columns.get("object_wrench", slice(end, end + 6))
+        self.wrench = columns.get("object_wrench", slice(end, end + data.model.layout.node))
         self.width = max(end, self.wrench.stop)
         placements = columns["placements"].start if parameters else -1
         self._work, self._struct = equation_work(data, self.width, placements)
@@ -242,7 +244,7 @@ class _Equations:
         if data.arrays.modes.slides:
             require_ok(data, add_friction(data.struct, self._struct, self._friction))
         b, dF_o = self._data.arrays, self._work.dF_o
-        dF_o[:, self.wrench] = _PUSH
+        dF_o[:, self.wrench] = -np.eye(len(dF_o))  # by wrenches on the objects
         if not self._parameters:
             return
         falling = b.accelerations.a_o[:3] - self._data.model.constants.gravity
@@ -283,7 +285,7 @@ def _motions(
     )  # fmt: skip
     for i in range(layout.block_count):
         rows, n, m = layout.contacts_of_block(i), layout.joint_counts[i], layout.contact_counts[i]
-        at, first = layout.of_block(i), block_columns(n, 0).positions
+        at, first = layout.of_block(i), block_columns(layout.node, n, 0).positions
         inertia[at, at] = M[i, :n, :n]
         rates[rows, at], by_position[rows, at] = W[i, :n, :m].T, of_rates[rows, first : first + n]
     return Motions(layout, inertia, closed, rates, by_position, independent)

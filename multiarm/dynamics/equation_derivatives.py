@@ -9,7 +9,7 @@ F_o` of :mod:`multiarm.dynamics.derivatives`,
 
 Each block has columns of its own, so that the cost is linear in the blocks.  Every connection of a
 block adds the derivatives of its rows to :math:`F_{\varphi i}`, and those of the wrenches on its
-two bodies, links of the block or the object, to :math:`F_i` and :math:`F_o`.
+two bodies, links of the block or objects, to :math:`F_i` and :math:`F_o`.
 
 *Feedback on the drift* adds :math:`2\alpha\dot\varphi + \beta^2\varphi` to :math:`F_\varphi`: the
 derivatives of the gaps' rates by the state, and of the gaps by the pose and the joints, which are
@@ -30,7 +30,7 @@ from multiarm.contacts.table import JOINT, WHEELS, open_code, open_joint, rolls
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.contact_derivatives import (
     BASE,
-    OBJECT,
+    FIRST_OBJECT,
     SCRATCH_ROWS,
     SLOPES_WIDTH,
     STILL,
@@ -82,7 +82,7 @@ class EquationWork(NamedTuple):
 
     A block's own columns are C coordinates, see
     :class:`multiarm.dynamics.coordinates.BlockColumns`, the torques of its joints and the
-    object's acceleration.
+    objects' accelerations.
     """
 
     placements: Int  # first of their columns among all, six for each owner of rows; -1 without
@@ -93,11 +93,11 @@ class EquationWork(NamedTuple):
     force: Floats1
     K: Floats3  # (n, d + m, d + m)
     M: Floats3  # (n, d, d)
-    dF: Floats3  # (n, d + m, C + d + 6) derivatives of F_i and F_phi
-    dF_o: Floats2  # (6, columns) of F_o
-    Wr_o: Floats2  # (N, 6) the object's rows of the contact forces, those of W_o without friction
+    dF: Floats3  # (n, d + m, C + d + 6 F) derivatives of F_i and F_phi
+    dF_o: Floats2  # (6 F, columns) of F_o
+    Wr_o: Floats2  # (N, 6 F) the objects' rows of the contact forces, those of W_o without friction
     rates: Floats2  # (N, C) of the gaps' rates
-    object: Floats1  # (24,) its motion
+    objects: Floats2  # (F, 24) their motions
     # scratch of one connection: motions of its bodies, their displacements by the joints; (C + 1,
     # 6) derivatives, and in the last used row the values, of the rows' wrenches on them, about
     # their origins in their axes
@@ -120,8 +120,6 @@ class EquationWork(NamedTuple):
     pivots: Ints1
 
 
-# First rows of the moment on the object in ``dF_o``, first columns of its turn and of its spin.
-MOMENT, TURN, SPIN = 3, 3, TWIST + 3
 # A twist and an acceleration.
 AT_REST = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -131,10 +129,10 @@ open_equations = view(EquationWork, len(TreeLinks._fields))
 
 def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     layout, parts = data.model.layout, data.arrays.rows.parts
-    n, N = layout.block_count, layout.contacts
+    n, N, node = layout.block_count, layout.contacts, layout.node
     d, m = max(layout.joint_counts), max(layout.contact_counts)
     first_owner = np.searchsorted(layout.block_of, range(n + 1))
-    C = block_columns(d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
+    C = block_columns(node, d, int(np.max(np.diff(first_owner))) if placements >= 0 else 0).end
     work = EquationWork(
         placements=placements,
         first_owner=first_owner.astype(np.int64),
@@ -143,11 +141,11 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         force=np.zeros(N),
         K=np.zeros((n, d + m, d + m)),
         M=np.zeros((n, d, d)),
-        dF=np.zeros((n, d + m, C + d + TWIST)),
-        dF_o=np.zeros((TWIST, columns)),
-        Wr_o=np.zeros((N, TWIST)),
+        dF=np.zeros((n, d + m, C + d + node)),
+        dF_o=np.zeros((node, columns)),
+        Wr_o=np.zeros((N, node)),
         rates=np.zeros((N, C)),
-        object=np.zeros(BODY_WIDTH),
+        objects=np.zeros((layout.frames, BODY_WIDTH)),
         first_body=np.zeros(BODY_WIDTH),
         second_body=np.zeros(BODY_WIDTH),
         first_moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),
@@ -162,8 +160,8 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         wrench=np.zeros((VALUE + 1, TWIST)),
         by_q=np.zeros((d, d)),
         by_v=np.zeros((d, d)),
-        S=np.zeros((TWIST, TWIST)),
-        pivots=np.zeros(max(TWIST, d + m), dtype=np.int64),
+        S=np.zeros((node, node)),
+        pivots=np.zeros(max(node, d + m), dtype=np.int64),
     )
     fields_of(BodyMotion, work.scratch[STILL]).rotation[:] = np.eye(3)
     return work
@@ -216,11 +214,14 @@ def write_derivatives(struct: INTS, equations: INTS):
     copy(data.rows.force, work.force)
     for k in range(data.rows.W_o.shape[0]):
         copy(data.rows.W_o[k], work.Wr_o[k])
-    write_object(data, data.state.twists[0], data.accelerations.a_o, work)
+    for o in range(work.objects.shape[0]):
+        write_object(o, data, data.state.twists[o], data.accelerations.a_o[6 * o :], work)
     status = differentiate_bodies(struct, equations)
-    add_object_equation(
-        data.bodies.object_inertia, data.state.twists[0], data.accelerations.a_o, work
-    )
+    for o in range(work.objects.shape[0]):
+        add_object_equation(
+            o, data.bodies.object_inertia, data.state.twists[o], data.accelerations.a_o[6 * o :],
+            work,
+        )  # fmt: skip
     return status
 
 
@@ -229,12 +230,13 @@ def write_derivatives_at_rest(struct, equations, twist):
     """Write derivatives of what holds the blocks at rest under ``work.force``; returns a status.
 
     At rest but for the accelerations ``work.a_j``.  They are the rows of joints in ``dF``; ``dF_o``
-    has those of the opposite wrench on the object, and ``rates`` those of the gap rates while the
-    object moves with a twist (6,).
+    has those of the opposite wrenches on the objects, and ``rates`` those of the gap rates while
+    the objects move with twists (6 F,).
     """
     data, work = open_data(struct), open_equations(equations)
     clear(work.v)
-    write_object(data, twist, AT_REST, work)
+    for o in range(work.objects.shape[0]):
+        write_object(o, data, twist[6 * o :], AT_REST, work)
     return differentiate_bodies(struct, equations)
 
 
@@ -249,15 +251,16 @@ def write_load_derivatives(struct, equations):
     copy(data.state.joint_rates, work.v)
     clear(work.a_j)
     copy(data.rows.static_force, work.force)
-    write_object(data, data.state.twists[0], AT_REST, work)
+    for o in range(work.objects.shape[0]):
+        write_object(o, data, data.state.twists[o], AT_REST, work)
     return differentiate_bodies(struct, equations)
 
 
 @kernel
 def differentiate_bodies(struct, equations):
-    """Write the derivatives of all blocks and their wrenches on the object; returns a status.
+    """Write the derivatives of all blocks and their wrenches on the objects; returns a status.
 
-    At the motion and the contact forces in ``work.object, v, a_j, force``.
+    At the motion and the contact forces in ``work.objects, v, a_j, force``.
     """
     model, data, system = open_system(struct)
     links, work = open_links(equations), open_equations(equations)
@@ -269,24 +272,26 @@ def differentiate_bodies(struct, equations):
 
 
 @inlined
-def write_object(data, twist, acceleration, work):
-    """Write the object's pose in the data, and a twist and an acceleration (6,)."""
-    body = open_body(work.object)
-    body.rotation = open_body(data.bodies.objects[0]).rotation
-    body.origin = vec(data.state.poses[0], 0)
+def write_object(o, data, twist, acceleration, work):
+    """Write an object's pose in the data, and a twist and an acceleration, six numbers each."""
+    body = open_body(work.objects[o])
+    body.rotation = open_body(data.bodies.objects[o]).rotation
+    body.origin = vec(data.state.poses[o], 0)
     body.velocity, body.spin = vec(twist, 0), vec(twist, 3)
     body.acceleration, body.spin_rate = vec(acceleration, 0), vec(acceleration, 3)
 
 
 @inlined
-def add_object_equation(inertia, twist, acceleration, work):
+def add_object_equation(o, inertia, twist, acceleration, work):
     """Add the derivatives of ``M_o a_o - f_o`` without control and effects to those of ``F_o``.
 
-    The inertia turns with the object; ``f_o`` is its weight and the gyroscopic moment.
+    Of one object; its inertia turns with it, and ``f_o`` is its weight and the gyroscopic moment.
     """
     w, alpha = vec(twist, 3), vec(acceleration, 3)
+    x = 6 * o + 3  # rows of its moment, and columns of its turn
+    y, z, spins = x + 1, x + 2, work.dF_o.shape[0] + x
     I = (
-        inertia[3, 3], inertia[3, 4], inertia[3, 5], inertia[4, 4], inertia[4, 5], inertia[5, 5],
+        inertia[x, x], inertia[x, y], inertia[x, z], inertia[y, y], inertia[y, z], inertia[z, z],
     )  # fmt: skip
     spin, torque = times(I, w), times(I, alpha)
     for axis in range(3):
@@ -295,8 +300,8 @@ def add_object_equation(inertia, twist, acceleration, work):
         by_turn = add_cross(sub(times(I, cross(alpha, e)), cross(torque, e)), w, gyroscopic)
         by_spin = add_cross(cross(w, times(I, e)), e, spin)
         for k in range(3):
-            work.dF_o[MOMENT + k, TURN + axis] += by_turn[k]
-            work.dF_o[MOMENT + k, SPIN + axis] += by_spin[k]
+            work.dF_o[x + k, x + axis] += by_turn[k]
+            work.dF_o[x + k, spins + axis] += by_spin[k]
 
 
 @kernel
@@ -382,10 +387,14 @@ def add_wheels(k, n, columns, model, data, system, work):
 
 @inlined
 def joint_that_moves(body, model):
-    """The joint of its robot that moves a body of a connection, ``BASE`` or ``OBJECT``."""
-    links = model.links
+    """The joint of its block that moves a body of a connection, ``BASE``, or an object.
+
+    See ``FIRST_OBJECT``.
+    """
+    links, objects = model.links, model.object_masses.size
     if body >= links.block.size:
-        return OBJECT if body == links.block.size else BASE
+        o = body - links.block.size
+        return FIRST_OBJECT - o if o < objects else BASE
     length = links.length[body]
     return links.chain[body, length - 1] if length > 0 else BASE
 
@@ -396,8 +405,8 @@ def write_connected_body(i, body, links, work, motion, moved):
 
     ``body`` as in :func:`multiarm.dynamics.contact_derivatives.write_body_displacement`.
     """
-    if body == OBJECT:
-        copy(work.object, motion)
+    if body <= FIRST_OBJECT:
+        copy(work.objects[FIRST_OBJECT - body], motion)
     elif body == BASE:
         clear(motion)
         open_body(motion).rotation = AXES
@@ -418,32 +427,34 @@ def add_wrench(i, body, columns, wrench, data, system, links, work):
             continue  # wrenches of contacts do not depend on velocities
         if body >= 0:
             subtract_torques(links, i, body, wrench[c], work.links, work.dF[i], c)
-        elif body == OBJECT:
+        elif body <= FIRST_OBJECT:
             at = column_of_all(i, equation_columns(data), columns, system.first_joint[i], c, work)
-            subtract_object_wrench(c, at, wrench[columns.end], wrench[c], work)
+            subtract_object_wrench(FIRST_OBJECT - body, c, at, wrench[columns.end], wrench[c], work)
 
 
 @inlined
-def subtract_object_wrench(c, at, wrench, slope, work):
-    """Subtract the derivative of a wrench on the object from column ``at`` of ``dF_o``.
+def subtract_object_wrench(o, c, at, wrench, slope, work):
+    """Subtract the derivative of a wrench on an object from column ``at`` of ``dF_o``.
 
     ``wrench`` and ``slope`` (6,), its derivative in the object's axes, are in these; in columns 3
-    to 5 the object turns.
+    to 5 of its own the object turns.
     """
-    R = open_body(work.object).rotation
-    turn = AXES[c - TURN] if TURN <= c < TURN + 3 else ZERO
+    R, first = open_body(work.objects[o]).rotation, 6 * o
+    moment_row = first + 3
+    turn = AXES[c - moment_row] if moment_row <= c < moment_row + 3 else ZERO
     force = add_cross(rotate(R, vec(slope, 0)), turn, rotate(R, vec(wrench, 0)))
     moment = add_cross(rotate(R, vec(slope, 3)), turn, rotate(R, vec(wrench, 3)))
     for l in range(3):
-        work.dF_o[l, at] -= force[l]
-        work.dF_o[MOMENT + l, at] -= moment[l]
+        work.dF_o[first + l, at] -= force[l]
+        work.dF_o[moment_row + l, at] -= moment[l]
 
 
 @inlined
 def columns_of_block(i, n, links, work):
     """The first columns of a block; the surroundings have no placements."""
     placed = i < links.first.size - 1 and work.placements >= 0
-    return block_columns(n, work.first_owner[i + 1] - work.first_owner[i] if placed else 0)
+    placements = work.first_owner[i + 1] - work.first_owner[i] if placed else 0
+    return block_columns(work.dF_o.shape[0], n, placements)
 
 
 @inlined
@@ -507,7 +518,7 @@ def gap_weight(model, row):
 def stack_matrix(struct: INTS, equations: INTS, K: TABLE):
     """Add the matrix of all equations to ``K``.
 
-    Its rows are those of the object, of the joints and of the contacts, 6 + n + N.
+    Its rows are those of the objects, of the joints and of the contacts, 6 F + n + N.
     """
     _, data, system = open_system(struct)
     work, places = open_equations(equations), chart_places(data)
@@ -551,7 +562,7 @@ def stack_derivatives(struct: INTS, equations: INTS, weight: NUMBER, dF: TABLE):
 def solve_at_once(struct, equations, matrix):
     """Solve for ``dy`` where some block cannot be solved on its own; returns a status.
 
-    ``matrix`` (6 + n + N, columns) is written; of forces that are not unique it has one of many
+    ``matrix`` (6 F + n + N, columns) is written; of forces that are not unique it has one of many
     derivatives.  The result is ``SINGULAR`` where the rank of the constraints changes.
     """
     size = matrix.shape[0]
@@ -595,9 +606,9 @@ def separate_dependent_rows(K, nv, dependent):
 
 @kernel
 def solve_by_blocks(struct: INTS, equations: INTS, matrix: TABLE):
-    """Solve for ``dy``, each block on its own and then the object; returns a status.
+    """Solve for ``dy``, each block on its own and then the objects; returns a status.
 
-    ``matrix`` (6 + n + N, columns) is written; matrices and derivatives in the work are used up.
+    ``matrix`` (6 F + n + N, columns) is written; matrices and derivatives in the work are used up.
     The result is ``SINGULAR`` where a block, or the object, cannot be solved so.
     """
     _, data, system = open_system(struct)

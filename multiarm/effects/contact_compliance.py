@@ -116,7 +116,7 @@ def differentiate_contact_compliance(address, size, at, _t):
             data.slopes.force[l, c] -= equations.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        columns = block_columns(n, 0)
+        columns = block_columns(first, n, 0)
         for j in range(n):
             for c in range(columns.end):
                 column = column_of_state(by, columns, d0, c)
@@ -132,7 +132,7 @@ def differentiate_contact_compliance(address, size, at, _t):
 @inlined
 def add_change_of_force(s, i, d0, n, springs, of_springs, work, equations, first, by, data):
     """Add what the change of a spring's force, along its contact, does to object and arm."""
-    columns, W = block_columns(n, 0), work.W[i, :, s - work.first_contact[i]]
+    columns, W = block_columns(first, n, 0), work.W[i, :, s - work.first_contact[i]]
     for c in range(columns.end):
         of_rate = columns.twists <= c < columns.positions or c >= columns.rates
         if c < columns.positions:

@@ -109,7 +109,7 @@ def add_equations(step, blocks):
             equations.dF[i],
         )
         n, m = work.first_joint[i + 1] - d0, work.first_contact[i + 1] - r0
-        columns = block_columns(n, 0)
+        columns = block_columns(blocks.frames, n, 0)
         for c in range(columns.end):
             column = column_of_block(at, columns, c)
             for k in range(n + m):

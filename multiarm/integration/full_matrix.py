@@ -256,9 +256,10 @@ def add_friction_power(struct, full):
     _, data, work = open_system(struct)
     slides, friction, columns = slides_of(data), open_friction(full.friction), force_columns(data)
     first = data.state.velocity.size + data.effects.states.size
+    node = chart_places(data).joints
     for s in range(slides.row.size):
         i, mu, row = slides.block[s], slides.mu[s], slides.row[s]
-        of_block = block_columns(work.first_joint[i + 1] - work.first_joint[i], 0)
+        of_block = block_columns(node, work.first_joint[i + 1] - work.first_joint[i], 0)
         pull = mu * data.rows.force[row]
         respond_to_forces(data, full, data.state.velocity.size + row)
         for c in range(full.row.size):
