@@ -120,13 +120,14 @@ def differentiate_external_wrenches(address, size, at, t):
         if wrenches.on_link[k] != 0:
             differentiate_on_link(wrenches, k, lever, f, m, follows, data)
             continue
+        turn = 6 * wrenches.object[k] + 3
         for axis in range(3):
             e = AXES[axis]
             by_turn = cross(e, f) if follows else ZERO
             moment_by_turn = cross(e, m) if follows else cross(cross(e, lever), f)
             for a in range(3):
-                data.slopes.force[a, 3 + axis] += by_turn[a]
-                data.slopes.force[3 + a, 3 + axis] += moment_by_turn[a]
+                data.slopes.force[turn - 3 + a, turn + axis] += by_turn[a]
+                data.slopes.force[turn + a, turn + axis] += moment_by_turn[a]
     return 0
 
 
@@ -219,9 +220,10 @@ def apply_wrench(wrenches, k, lever, data):
     f = vec(wrench, 0)
     m = add_cross(vec(wrench, 3), lever, f)
     if wrenches.on_link[k] == 0:
-        f_o, body = data.forces.f_o, open_body(data.bodies.object)
-        put(f_o, 0, add(vec(f_o, 0), f))
-        put(f_o, 3, add(vec(f_o, 3), m))
+        o = wrenches.object[k]
+        f_o, body, at = data.forces.f_o, open_body(data.bodies.objects[o]), 6 * o
+        put(f_o, at, add(vec(f_o, at), f))
+        put(f_o, at + 3, add(vec(f_o, at + 3), m))
         return dot(f, body.velocity) + dot(m, body.spin)
     first, power = wrenches.first_joint[k], 0.0
     addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
@@ -319,6 +321,8 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
         wrenches.first_joint[k], wrenches.joints[k] = link.first, link.chain.size
         wrenches.chain[k, : link.chain.size] = link.chain
         frame, point = link.rotation, link.rotation @ point + link.translation
+    elif wrench.on in context.layout.objects:  # else the only one
+        wrenches.object[k] = context.layout.objects.index(wrench.on)
     wrenches.in_body[k] = wrench.axes == "body"
     wrenches.frame[k] = frame.ravel()
     wrenches.point[k] = point
