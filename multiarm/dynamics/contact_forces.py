@@ -59,11 +59,11 @@ def write_wrenches(model, data, forces):
 
 
 def uncarried_wrench(data: Data) -> np.ndarray:
-    """What the contacts leave of the wrench on the object that the control commands, shape (6,).
+    """What the contacts leave of the wrenches on the objects that the control commands, (6 F,).
 
     After the laws have been evaluated in these data; zeros where none commands one.
     """
     if not data.model.laws:
-        return np.zeros(6)
+        return np.zeros(data.model.layout.node)
     rows = data.arrays.rows
     return data.arrays.control.object_wrench - rows.W_o.T @ rows.static_force

@@ -186,9 +186,9 @@ class Evaluation:
         hardly move, or not at all.
     message : str
         Empty when accelerations and forces solve the equations; else the residual and its reason.
-    uncarried_wrench : ndarray, shape (6,)
-        What the contacts cannot put on the object of the wrench that the control commands, such as
-        its weight: force [N] and moment [N m] about its centre of mass, world axes.
+    uncarried_wrench : ndarray, shape (6 F,)
+        What the contacts cannot put on the F objects of the wrenches that the control commands,
+        such as their weight: force [N] and moment [N m] about the centre of mass, world axes.
     effect_state_rates : ndarray, shape (e,)
         Rates of the states of effects, such as the torques of lagging drives, at a run's start.
     contact_states : mapping arm -> tuple of str

@@ -181,7 +181,7 @@ class ControlVariables(NamedTuple):
         Floats2  # (2, joints) of a control that can be held: those that act, the last ones
     )
     gravity_torque: Floats1  # (joints,) gravity forces, for control that needs them
-    object_wrench: Floats1  # (6,) on the object, that the control commands
+    object_wrench: Floats1  # (6 F,) on the objects, that the control commands
 
 
 class EffectVariables(NamedTuple):
@@ -389,7 +389,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             sampling=SamplingStatus(mode=ALWAYS),
             held_torques=np.zeros((2, joints)),
             gravity_torque=np.zeros(joints),
-            object_wrench=np.zeros(6),
+            object_wrench=np.zeros(layout.node),
         ),
         effects=EffectVariables(
             states=np.zeros(states),
