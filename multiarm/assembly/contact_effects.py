@@ -16,7 +16,7 @@ from multiarm.scene import Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 from multiarm.scene.shapes import NoCornersError
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,11 @@ def unilateral_constraints(
                 _add_joint_rows(rows, scene, block, first, laws)
         first += len(block.joints)
     _add_connections(rows, around, contacts, parameters)
-    rows.start(SURROUNDINGS)
-    if (floor := scene.effects.floor) is not None:
-        for contact in floor_contacts(floor, scene.object.shape):
-            rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
+    for name, body in scene.all_objects.items():
+        rows.start(floor_owner(name, scene.all_objects))
+        if (floor := scene.effects.floor) is not None and floor.is_of(name):
+            for contact in floor_contacts(floor, body.shape):
+                rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
     if not (rows.constraints or rows.compliant):
         return None
     spec = scene.effects.unilateral_contacts

@@ -174,6 +174,7 @@ def _constants(
     effects: EffectProgram,
     backends: Backends,
 ) -> Constants:
+    body = scene.one_object("the dynamics")
     return Constants(
         q_slots=backends.q_slots,
         circular=_circular(bodies.robots),
@@ -181,8 +182,8 @@ def _constants(
         floating_bases=_floating_bases(rows.layout, backends),
         links=bodies.links(),
         connections=connections,
-        object_mass=float(scene.object.mass),
-        object_inertia=np.ascontiguousarray(scene.object.inertia_matrix()),
+        object_mass=float(body.mass),
+        object_inertia=np.ascontiguousarray(body.inertia_matrix()),
         gravity=gravity_of(scene),
         control=NO_CONTROL,
         sampled=NO_CONTROL,

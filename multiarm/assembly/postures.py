@@ -24,7 +24,6 @@ from multiarm.assembly.robot_postures import RobotPostureSearch
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene
-from multiarm.scene.bodies import OBJECT
 from multiarm.scene.faults import Parts, fault_at
 from multiarm.scene.joint_values import SOLVE
 
@@ -126,7 +125,7 @@ def _search_of(
     None where its posture is not asked for, and the written one leaves gaps that assembly closes.
     """
     wanted = posture_of(scene, arm.name)[1] == SOLVE
-    if "" in arm.tips and len(joints) == 1 and joints[0].second == OBJECT:
+    if "" in arm.tips and len(joints) == 1 and joints[0].second.is_object:
         wanted = wanted or _is_far(scene, joints[0], arm, resolved.posture)
         return PostureSearch.of_joint(scene, joints[0], arm) if wanted else None
     search = RobotPostureSearch.of_robot(scene, joints, arm, resolved)

@@ -25,7 +25,7 @@ from multiarm.scene import (
     resolve_arm,
     resolve_robot,
 )
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.joint_values import SOLVE
 
 
@@ -40,8 +40,8 @@ class Robots:
 
     def pose(self, scene: Scene, body: BodyName) -> np.ndarray:
         """Pose of a body's frame at the start as written, of a link that of its tip, (4, 4)."""
-        if body == OBJECT:
-            return scene.object.pose.matrix()
+        if body.is_object:
+            return scene.all_objects[body.tip].pose.matrix()
         if not body.is_link:
             return np.eye(4)
         return self.by_name[body.robot].tip_pose(self.postures[body.robot], body.tip)

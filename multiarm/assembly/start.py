@@ -132,12 +132,13 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
 
 def written_start(scene: Scene, robots: Robots, layout: Layout) -> State:
     """The start as written in the scene, before it is assembled."""
-    pose = scene.object.pose.matrix()
+    body = scene.one_object("the start")
+    pose = body.pose.matrix()
     state = State(np.zeros(layout.nq), np.zeros(layout.nv), layout)
     state.object_position[:] = pose[:3, 3]
     state.object_quaternion_xyzw[:] = matrix_to_quaternion(pose[:3, :3])
-    if scene.object.twist is not None:
-        state.object_twist[:] = scene.object.twist
+    if body.twist is not None:
+        state.object_twist[:] = body.twist
     for name, robot in robots.resolved.items():
         state.joint_positions[name][:] = robots.postures[name]
         state.joint_velocities[name][:] = robot.velocity

@@ -22,7 +22,6 @@ from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
-from multiarm.scene.bodies import OBJECT
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl
 
 # Of a pressing force, the part that a joint may lose along its free motions.
@@ -156,4 +155,4 @@ def _towards_the_middle(model: Model) -> np.ndarray:
 def _grip(model: Model, connection: str) -> np.ndarray:
     """Origin of a joint's frame on the object, in its axes, shape (3,) [m]."""
     frame, pair = model.frames[connection], model.connections[connection]
-    return (frame.on_tip if pair.first == OBJECT else frame.on_object)[:3, 3]
+    return (frame.on_tip if pair.first.is_object else frame.on_object)[:3, 3]

@@ -18,7 +18,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
 from multiarm.robots.robot import AT_REST, Robot, Tip
-from multiarm.scene.bodies import OBJECT, WORLD, BodyName
+from multiarm.scene.bodies import OBJECT_NAME, WORLD, BodyName, object_named
 from multiarm.scene.values import SURROUNDINGS
 
 
@@ -37,13 +37,13 @@ class Connection:
 
     @property
     def on_object(self) -> bool:
-        """Whether its second body is the object."""
-        return self.second == OBJECT
+        """Whether its second body is an object."""
+        return self.second.is_object
 
     @property
     def of_object(self) -> bool:
-        """Whether the object is one of its bodies."""
-        return OBJECT in (self.first, self.second)
+        """Whether an object is one of its bodies."""
+        return self.first.is_object or self.second.is_object
 
 
 class Links(NamedTuple):
@@ -91,7 +91,7 @@ class BodyTable:
         if body.is_link:
             joint = self.tip(body).joint
             return self._links.index((self._names.index(body.robot), joint))
-        return len(self._links) + (0 if body == OBJECT else 1)
+        return len(self._links) + (0 if body.is_object else 1)
 
     def tip(self, body: BodyName) -> Tip:
         """The tip of a link; a frame at rest for another body."""
@@ -121,7 +121,7 @@ class BodyTable:
         numbers = np.full((4, len(owners)), world, dtype=np.int64)
         table = Connections(*numbers)
         table.block[:], table.serial[:] = layout.block_of, 0
-        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, WORLD, OBJECT), **pairs}
+        pairs = {SURROUNDINGS: Connection(SURROUNDINGS, WORLD, object_named(OBJECT_NAME)), **pairs}
         for c, owner in enumerate(owners):
             if owner not in pairs:
                 continue

@@ -48,7 +48,7 @@ from multiarm.jit.kernels import INT, INTS, NUMBERS, kernel
 from multiarm.jit.rows import as_row, fields_of
 from multiarm.jit.vectors import add_symmetric, put, rotate, sub, vec
 from multiarm.robots.robot import Tip
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.values import SURROUNDINGS
 from multiarm.spatial import quaternion_to_matrix
 
@@ -239,7 +239,7 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
 def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndarray, np.ndarray]:
     """Pose (4, 4) and twist (6,) of a body's frame, of a link that of its tip, world axes."""
     X, twist = np.eye(4), np.zeros(6)
-    if body == OBJECT:
+    if body.is_object:
         X[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
         X[:3, 3], twist = state.object_position, state.object_twist
     if body.is_link:

@@ -53,7 +53,7 @@ from multiarm.errors import ModelError, SolverError
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
 
@@ -242,7 +242,7 @@ def _frame(
         rates = state.joint_velocities[robot]
         tip = model.robots[robot].terms(state.joint_positions[robot], rates, body.tip)
         return _Frame(tip.tip_rotation, tip.tip_twist, tip.J, tip.drift)
-    if body == OBJECT:
+    if body.is_object:
         R = quaternion_to_matrix(state.object_quaternion_xyzw)
         return _Frame(R, state.object_twist, still, object_acceleration)
     return _Frame(np.eye(3), np.zeros(6), still, np.zeros(6))
