@@ -56,7 +56,8 @@ class PostureSearch:
     @classmethod
     def of_joint(cls, scene: Scene, joint: JointSpec, arm: Robot) -> PostureSearch:
         """The search that a joint of a scene asks for."""
-        return cls(arm, *joint_places(scene, joint), tuple(joint.free or ()), scene.object)
+        body = scene.all_objects[joint.second.tip]
+        return cls(arm, *joint_places(scene, joint), tuple(joint.free or ()), body)
 
     def best(self, allowed: Callable[[np.ndarray], bool] | None = None) -> np.ndarray | None:
         """The best of the postures found that are ``allowed``, None where none is.
@@ -150,7 +151,8 @@ def joint_places(scene: Scene, joint: JointSpec) -> tuple[np.ndarray, np.ndarray
     turn = np.eye(4)
     turn[:3, :3] = basis(joint.z_axis)
     on_tip = joint.on_first.matrix() @ joint.start_shift() @ turn
-    return on_tip, scene.object.pose.matrix() @ joint.at.matrix() @ turn
+    body = scene.all_objects[joint.second.tip]
+    return on_tip, body.pose.matrix() @ joint.at.matrix() @ turn
 
 
 def clear_of(

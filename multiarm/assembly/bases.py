@@ -287,7 +287,8 @@ class _BaseSearch:
         written, places = scene.arms[joint.arm].base, joint_places(scene, joint)
         assert isinstance(written, BaseSpec), "its base is to be found"
         reach = farthest(arm, np.random.default_rng(0))
-        return cls(arm, written, scene.object, *places, tuple(joint.free or ()), reach, bases)
+        body = scene.all_objects[joint.second.tip]
+        return cls(arm, written, body, *places, tuple(joint.free or ()), reach, bases)
 
     @property
     def near(self) -> float:

@@ -93,7 +93,7 @@ class NearestPair:
 
 
 class Surroundings:
-    """The solids of a scene: its arms, at whatever postures, and its object.
+    """The solids of a scene: its arms, at whatever postures, and its objects.
 
     Parameters
     ----------
@@ -111,10 +111,13 @@ class Surroundings:
                 if body.robot in arms:
                     places[body.robot].setdefault(body.tip, pose[:3, 3])
         self._links = {name: _links(arm, places[name]) for name, arm in arms.items()}
-        self._object = object_hull(scene.object)
-        if self._object is not None:
-            self._object.computeLocalAABB()
-        self._object_pose = pin.SE3(scene.object.pose.matrix())
+        self._objects: list[tuple[Solid, pin.SE3]] = []
+        for name, spec in scene.all_objects.items():
+            hull, words = object_hull(spec), OBJECT if scene.objects is None else f"object {name!r}"
+            if hull is not None:
+                hull.computeLocalAABB()
+                solid = Solid(words, hull, 0, holds=True)
+                self._objects.append((solid, pin.SE3(spec.pose.matrix())))
         self._robots = {
             name: scene.group_of(name) if name in scene.arms else arm for name, arm in arms.items()
         }
@@ -151,10 +154,8 @@ class Surroundings:
         return min(pairs, key=lambda pair: pair.distance)
 
     def obstacles(self, name: str, postures: Mapping[str, np.ndarray]) -> Placed:
-        """The object, and the links of all other arms that have a posture."""
-        pairs = []
-        if self._object is not None:
-            pairs.append((Solid(OBJECT, self._object, 0, holds=True), self._object_pose))
+        """The objects, and the links of all other arms that have a posture."""
+        pairs = [*self._objects]
         for neighbour in self._arms:
             if neighbour == name or neighbour not in postures:
                 continue

@@ -10,13 +10,13 @@ import numpy as np
 from multiarm.assembly.blocks import Block
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
-from multiarm.dynamics.connections import surroundings_of
 from multiarm.errors import SceneError
 from multiarm.geometry.records import Contact, Patch, plane, sphere, tangent_rows
 from multiarm.scene import Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 from multiarm.scene.shapes import NoCornersError
+from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -77,11 +77,11 @@ def unilateral_constraints(
                 _add_joint_rows(rows, scene, block, first, laws)
         first += len(block.joints)
     _add_connections(rows, around, contacts, parameters)
-    floor, objects = scene.effects.floor, scene.all_objects
-    for owner, connection in surroundings_of(tuple(objects)).items():
-        rows.start(owner)
-        for contact in floor_contacts(floor, objects[connection.second.tip].shape) if floor else ():
-            rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
+    for name, body in scene.all_objects.items():
+        rows.start(floor_owner(name, scene.all_objects))
+        if (floor := scene.effects.floor) is not None and floor.is_of(name):
+            for contact in floor_contacts(floor, body.shape):
+                rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
     if not (rows.constraints or rows.compliant):
         return None
     spec = scene.effects.unilateral_contacts

@@ -33,7 +33,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
 from multiarm.robots.robot import Robot
-from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
+from multiarm.scene import JointSpec, Pose, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
 
 # Name of the row of a robot on wheels.
@@ -64,11 +64,7 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
     shared, specs = {}, {joint.connection: joint for joint in scene.joints}
     if like is not None:
         # a joint without ``at`` is where its bodies are at the start
-        poses, of_like = (
-            {name: body.pose for name, body in of_scene.all_objects.items()}
-            for of_scene in (scene, like.scene)
-        )
-        moved = poses != of_like
+        moved = _poses(scene) != _poses(like.scene)
         joints_of_like = {joint.connection: joint for joint in like.scene.joints}
         for name, joint in specs.items():
             placed = joint.at is not None or not moved
@@ -80,6 +76,10 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
     return {
         name: shared.get(name) or _make_joint(specs[name], scene, robots) for name in connections
     }
+
+
+def _poses(scene: Scene) -> dict[str, Pose]:
+    return {name: body.pose for name, body in scene.all_objects.items()}
 
 
 def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:

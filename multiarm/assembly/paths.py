@@ -99,9 +99,11 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
         }
         for specs in (scene.arms, scene.robots)
     )
-    body = scene.object.model_copy(update={"pose": pose_of(start), "twist": None})
-    parts = {"joints": joints, "arms": arms, "robots": robots, "object": body}
-    return scene.replace(**parts, control={"kind": "none"}, effects={})
+    scene.one_object("a path of the object")
+    (place,) = map(scene.place_of_object, scene.all_objects)
+    at_rest = {f"{place}.pose": pose_of(start), f"{place}.twist": None}
+    parts = {"joints": joints, "arms": arms, "robots": robots}
+    return scene.replace(at_rest, **parts, control={"kind": "none"}, effects={})
 
 
 def _rigid_connections(data: Data, start: State) -> set[str]:

@@ -62,7 +62,8 @@ class RobotPostureSearch:
         The base in the world, with the joints that move it at zero.
     base_joints : int
         How many joints move the base.
-    body : ObjectSpec
+    bodies : list of ObjectSpec
+        The objects.
     couplings : tuple of Coupling
         Joints that follow others.
     """
@@ -73,7 +74,7 @@ class RobotPostureSearch:
     written: np.ndarray
     base: np.ndarray
     base_joints: int
-    body: ObjectSpec
+    bodies: Sequence[ObjectSpec]
     couplings: tuple[Coupling, ...] = ()
 
     @classmethod
@@ -89,7 +90,7 @@ class RobotPostureSearch:
             written=resolved.posture,
             base=arm.files.base,
             base_joints=len(resolved.base_joints),
-            body=scene.object,
+            bodies=[*scene.all_objects.values()],
             couplings=tuple(
                 Coupling(number[c.joint], number[c.leader], c.multiplier, c.offset)
                 for c in resolved.mimic
@@ -207,10 +208,11 @@ class RobotPostureSearch:
     def _clear(
         self, kinematics: TreeKinematics, meshes: bool
     ) -> Callable[[np.ndarray, int], float]:
-        """How well the links keep apart from the object's box and from the ground."""
+        """How well the links keep apart from the objects' boxes and from the ground."""
         parents, first, base = self.structure.parents, self.base_joints, self.base.copy()
         places = self._lengths.places
-        apart = apart_from(self.body, np.min(places[:, 2], initial=np.inf), meshes)
+        height = np.min(places[:, 2], initial=np.inf)
+        apart = [apart_from(body, height, meshes) for body in self.bodies]
         links = np.flatnonzero(parents >= first)  # their parent is no joint that moves the base
         high = links[parents[parents[links]] >= first]
 
@@ -219,7 +221,7 @@ class RobotPostureSearch:
             if first > 0:
                 base[:3, 3] = origins[first - 1]
             points = points_between(origins[parents[links]], origins[links])
-            return apart(base, points, origins[high, 2])
+            return min(clear_of_body(base, points, origins[high, 2]) for clear_of_body in apart)
 
         return clear
 

@@ -41,7 +41,8 @@ def _weight_not_carried(system: System) -> list[str]:
     with system.borrow() as data:
         closed = data.closed
         left, size = uncarried_weight(closed, system.initial_state()), scene_size(closed)
-    weight = scene.object.mass * float(np.linalg.norm(scene.gravity))
+    body = scene.one_object("the weight that contacts carry")
+    weight = body.mass * float(np.linalg.norm(scene.gravity))
     if np.linalg.norm([*left[:3], *left[3:] / size]) <= UNCARRIED * weight:
         return []
     connections = system.model.connections.items()
@@ -64,7 +65,8 @@ def _joints_off_the_object(system: System) -> list[str]:
         if not pair.on_object:
             continue
         point = system.frames[joint.connection].on_object[:3, 3]
-        solid = None if joint.as_listed else system.scene.object.shape.solid
+        body = system.scene.all_objects[pair.second.tip]
+        solid = None if joint.as_listed else body.shape.solid
         nearest = None if solid is None else solid.nearest(point)
         if nearest is None:
             continue

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         Freedom,
         Inspection,
         JointFacts,
+        ObjectFacts,
         RobotFacts,
         RunFacts,
     )
@@ -91,13 +92,18 @@ def _tables(inspection: Inspection) -> list[RenderableType]:
 
 
 def _general(inspection: Inspection) -> dict[str, RenderableType]:
-    body = inspection.object
-    return {
-        "gravity": "none" if inspection.gravity is None else numbers(inspection.gravity, "m/s^2"),
-        "object": f"{body.shape}, {number(body.mass, 'kg')}, at {numbers(body.position, 'm')}",
-        "inertia": _inertia(body.inertia),
-        "control": inspection.control,
+    rows: dict[str, RenderableType] = {
+        "gravity": "none" if inspection.gravity is None else numbers(inspection.gravity, "m/s^2")
     }
+    if inspection.object is not None:
+        rows |= {"object": _body(inspection.object), "inertia": _inertia(inspection.object.inertia)}
+    for name, body in inspection.objects.items():
+        rows |= {name: _body(body), f"inertia of {name}": _inertia(body.inertia)}
+    return {**rows, "control": inspection.control}
+
+
+def _body(body: ObjectFacts) -> str:
+    return f"{body.shape}, {number(body.mass, 'kg')}, at {numbers(body.position, 'm')}"
 
 
 def _inertia(matrix: list[list[float]]) -> str:

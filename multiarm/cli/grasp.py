@@ -160,7 +160,7 @@ def design(
     comments = "".join(f"# {line}\n" for line in (_command_line(context, body), *grasp.notes))
     text = comments + dump_scene(scene)
     rows = design_facts(grasp)
-    if scene.object.pose.matrix()[2, 2] < UPRIGHT:
+    if scene.one_object("a grasp").pose.matrix()[2, 2] < UPRIGHT:
         rows["object"] = "turned at the start: upright, the arms do not reach it"
     squeeze = number(getattr(scene.control, "squeeze", None), "N")
     rows["squeeze"] = f"{squeeze} in the mean, so that no contact opens"

@@ -19,7 +19,7 @@ from multiarm.geometry.records import Placement
 from multiarm.jit.structs import Ints1, Ints2
 from multiarm.robots.robot import AT_REST, Robot, Tip
 from multiarm.scene.bodies import WORLD, BodyName, object_named
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -66,11 +66,8 @@ class Connections(NamedTuple):
 
 def surroundings_of(objects: Sequence[str]) -> dict[str, Connection]:
     """Connections of the objects with their surroundings, by the owners of their rows."""
-    owners = [SURROUNDINGS] if len(objects) == 1 else [f"{SURROUNDINGS}/{o}" for o in objects]
-    return {
-        owner: Connection(owner, WORLD, object_named(name))
-        for owner, name in zip(owners, objects, strict=True)
-    }
+    owners = {name: floor_owner(name, objects) for name in objects}
+    return {o: Connection(o, WORLD, object_named(name)) for name, o in owners.items()}
 
 
 class BodyTable:

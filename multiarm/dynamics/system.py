@@ -305,9 +305,9 @@ class System:
     def _row_owner(self, name: str) -> RowOwner:
         """Whose rows an owner of rows has."""
         if name not in self.model.connections:
-            return RowOwner(name, "", False)
+            return RowOwner(name, "", False, False)
         pair = self.model.connections[name]
-        return RowOwner(pair.robot, str(pair.second), pair.first.is_link)
+        return RowOwner(pair.robot, str(pair.second), pair.first.is_link, pair.on_object)
 
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""

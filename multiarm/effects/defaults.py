@@ -13,6 +13,7 @@ def defaults(scene: Scene) -> dict[str, Any]:
 
     Of user-defined effects, those with a class attribute ``default``.
     """
-    typical = {name: kind.typical(scene.object) for name, kind in BUILT_IN.items()}
+    body = scene.one_object("a table of typical effects")
+    typical = {name: kind.typical(body) for name, kind in BUILT_IN.items()}
     typical |= {name: getattr(EFFECTS.find(name), "default", None) for name in EFFECTS.names()}
     return {name: parameters for name, parameters in typical.items() if parameters is not None}

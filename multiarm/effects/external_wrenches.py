@@ -315,8 +315,8 @@ def _without_course(count: int, joints: int) -> ExternalWrenches:
 def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) -> None:
     """Write the body and the point of a wrench."""
     frame, point = np.eye(3), np.array(wrench.at)
-    if wrench.target is not None:
-        link = context.link(*wrench.target)
+    if wrench.target.is_link:
+        link = context.link(wrench.target.robot, wrench.target.tip)
         wrenches.on_link[k], wrenches.link[k], wrenches.block[k] = 1, link.number, link.block
         wrenches.first_joint[k], wrenches.joints[k] = link.first, link.chain.size
         wrenches.chain[k, : link.chain.size] = link.chain

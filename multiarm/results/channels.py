@@ -205,11 +205,7 @@ class RowOwner(NamedTuple):
     robot: str  # empty where no robot takes part
     second: str  # the body on which the forces act; empty where the rows are those of joints
     first_is_link: bool  # the first body has the motion of a tip
-
-    @property
-    def on_object(self) -> bool:
-        """Whether the forces act on the object."""
-        return self.second == OBJECT
+    on_object: bool  # the forces act on an object
 
 
 def trajectory_channels(
@@ -251,7 +247,7 @@ def trajectory_channels(
         Channel("time", (), "s", "", "time of the sample"),
         *_motion_channels("object/", "object", "centre of mass"),
     ]
-    facts = {name: owners.get(name, RowOwner(name, OBJECT, True)) for name in contacts}
+    facts = {name: owners.get(name, RowOwner(name, OBJECT, True, True)) for name in contacts}
     for robot, units in joints.items():
         channels += _arm_channels(f"arms/{robot}", units)
         if controlled:
@@ -303,7 +299,7 @@ def _owner_channels(
     if free:
         channels += _free_channels(path, free, fact.on_object)
     if fact.second:
-        channels.append(wrench_channel(path, fact.second))
+        channels.append(wrench_channel(path, fact.second, fact.on_object))
     if fact.first_is_link:
         channels += tip_channels(path)
     return channels
@@ -327,9 +323,9 @@ def control_power_channel(path: str) -> Channel:
     )  # fmt: skip
 
 
-def wrench_channel(path: str, body: str = OBJECT) -> Channel:
+def wrench_channel(path: str, body: str = OBJECT, on_object: bool = True) -> Channel:
     """The channel of the wrench of a connection, or of the floor, on its second body."""
-    about = "object's centre of mass" if body == OBJECT else "origin of the joint's frame on it"
+    about = f"{body}'s centre of mass" if on_object else "origin of the joint's frame on it"
     return Channel(
         f"{path}/wrench", (6,), ", ".join(["N"] * 3 + ["N m"] * 3), "world",
         f"resultant of the contact forces and friction on the {body}: force, then moment about the "

@@ -1,11 +1,12 @@
-"""The bodies of a scene by name: the object, the world, and links that carry tips.
+"""The bodies of a scene by name: objects, the world, and links of robots.
 
-A joint is written as ``arm: NAME``, between the tip of an arm or robot and the object, or as
+A joint is written as ``arm: NAME``, between the tip of an arm or robot and an object, or as
 ``between: [FIRST, SECOND]``.  Forces of the joint act on SECOND, FIRST takes the opposite.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 
@@ -16,10 +17,10 @@ class BodyName:
     Attributes
     ----------
     robot : str
-        The arm or robot whose link it is; empty for the object and for the world.
+        The arm or robot whose link it is; empty for objects and for the world.
     tip : str
-        The tip, or the link, of a robot; empty for the only tip of an arm; ``object`` or ``world``
-        where there is no robot.
+        The tip, or the link, of a robot; empty for the only tip of an arm; where there is no robot,
+        the name of the object, or ``world``.
     """
 
     robot: str
@@ -36,11 +37,12 @@ class BodyName:
     @property
     def is_object(self) -> bool:
         """Whether it is an object."""
-        return not self.robot and self.tip != "world"
+        return not self.robot and self != WORLD
 
 
-OBJECT = BodyName("", "object")
 WORLD = BodyName("", "world")
+OBJECT_NAME = "object"
+"""The object of a scene that has one, below its key ``object``."""
 
 
 def object_named(name: str) -> BodyName:
@@ -48,12 +50,11 @@ def object_named(name: str) -> BodyName:
     return BodyName("", name)
 
 
-def body_named(text: str) -> BodyName:
-    """The body with this name in ``between``."""
-    for body in (OBJECT, WORLD):
-        if text == str(body):
-            return body
-    return tip_named(text)
+def body_named(text: str, objects: Collection[str]) -> BodyName:
+    """The body with this name in ``between``; ``objects`` are the names of the scene's objects."""
+    if text == str(WORLD):
+        return WORLD
+    return object_named(text) if text in objects else tip_named(text)
 
 
 def tip_named(text: str) -> BodyName:

@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from multiarm.scene.bodies import (
-    OBJECT,
     WORLD,
     BodyName,
     body_named,
     connection_name,
+    object_named,
     tip_named,
 )
 from multiarm.scene.faults import Parts, listed, shown, unknown
 from multiarm.scene.joint_values import KnownRobot
-from multiarm.scene.values import SURROUNDINGS
+from multiarm.scene.values import floor_owner
 
 Robots = Mapping[str, KnownRobot]
 Faults = Iterator[tuple[Parts, str]]
@@ -31,16 +31,19 @@ class WrittenJoint:
     """What a joint connects, as it is written, valid or not; None where it is not written."""
 
     arm: Any
+    object: Any
     between: Any
     name: Any
+    objects: tuple[str, ...]  # names of the scene's objects
 
     @classmethod
-    def of(cls, joint: Any) -> WrittenJoint:
+    def of(cls, joint: Any, objects: tuple[str, ...]) -> WrittenJoint:
         """That of a joint, or of the table that is to be one."""
         read = joint.get if isinstance(joint, Mapping) else lambda key: getattr(joint, key, None)
         arm = read("arm")
         written = not isinstance(arm, str) or bool(arm)
-        return cls(arm if written else None, read("between"), read("name"))
+        names = read("object"), read("between"), read("name")
+        return cls(arm if written else None, *names, objects)
 
     @property
     def two_bodies(self) -> tuple[str, str] | None:
@@ -54,10 +57,14 @@ class WrittenJoint:
     def bodies(self) -> tuple[BodyName, BodyName] | None:
         """FIRST and SECOND; None where it does not say so."""
         if self.between is None:
-            return (tip_named(self.arm), OBJECT) if isinstance(self.arm, str) else None
+            if not isinstance(self.arm, str):
+                return None
+            name = self.object if isinstance(self.object, str) else self.objects[0]
+            return tip_named(self.arm), object_named(name)
         if self.two_bodies is None or self.arm is not None:
             return None
-        return body_named(self.two_bodies[0]), body_named(self.two_bodies[1])
+        first, second = self.two_bodies
+        return body_named(first, self.objects), body_named(second, self.objects)
 
     @property
     def connection(self) -> str | None:
@@ -75,10 +82,15 @@ def links_of(robot: str, joints: Sequence[WrittenJoint], tips: Mapping[str, str]
     return list(dict.fromkeys(name for name in names if name and name not in tips))
 
 
-def connection_faults(joints: Sequence[WrittenJoint] | None, robots: Robots) -> Faults:
-    """Faults of what the joints connect: their places in the scene, and texts."""
+def connection_faults(
+    joints: Sequence[WrittenJoint] | None, robots: Robots, objects_known: bool = True
+) -> Faults:
+    """Faults of what the joints connect: their places in the scene, and texts.
+
+    What they name as an object is looked at where the scene's objects are known.
+    """
     for k, joint in enumerate(joints or ()):
-        yield from _joint_faults(joint, ("joints", k), robots)
+        yield from _joint_faults(joint, ("joints", k), robots, objects_known)
     yield from _name_faults(joints or (), robots)
     if joints is None or any(joint.bodies is None for joint in joints):
         return
@@ -93,7 +105,7 @@ def connection_faults(joints: Sequence[WrittenJoint] | None, robots: Robots) -> 
 
 
 def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
-    """Joints with the name of another joint, of a robot or of the floor: results have them by name.
+    """Joints with the name of another joint, of a robot or of a floor: results have them by name.
 
     The joint of an arm, ``arm: NAME``, has the arm's.
     """
@@ -109,6 +121,8 @@ def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
         if joint.between is None or joint.connection not in robots
     )
     tips = {joint.arm for joint in of_bodies if joint.between is None}
+    objects = joints[0].objects if joints else ()
+    floors = [floor_owner(name, objects) for name in objects]
     for name, count in names.items():
         if count == 1:
             continue
@@ -118,7 +132,7 @@ def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
                 ("joints",),
                 f"{noun} {name!r} has {count} joints; one joint per {noun} is possible, list "
                 "their contacts in one joint of kind 'contacts', or write the others as "
-                f"'between: [{name}, object]'",
+                f"'between: [{name}, {objects[0]}]'",
             )
         else:
             yield (
@@ -129,8 +143,8 @@ def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
         connection = joint.connection
         if joint.between is None or connection is None:
             continue
-        if connection == SURROUNDINGS:
-            text = f"no joint can be named {SURROUNDINGS!r}: results have the floor's forces there"
+        if connection in floors:
+            text = f"no joint can be named {connection!r}: results have the floor's forces there"
             yield ("joints", k, "name"), text
         elif connection in robots:
             noun = "arm" if robots[connection].tips is None else "robot"
@@ -141,17 +155,19 @@ def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:
             yield ("joints", k, "name"), text
 
 
-def _joint_faults(joint: WrittenJoint, where: Parts, robots: Robots) -> Faults:
+def _joint_faults(joint: WrittenJoint, where: Parts, robots: Robots, objects_known: bool) -> Faults:
     """Faults of the bodies of one joint."""
     if joint.between is None:
         if joint.arm is not None:
-            text = _arm_fault(joint.arm, robots)
+            text = _arm_fault(joint, robots)
             if text:
                 yield (*where, "arm"), text
+            if objects_known:
+                yield from _object_faults(joint, where)
         return
-    if joint.bodies is None:
+    if joint.bodies is None or not objects_known:
         return
-    texts = [_body_fault(body, robots) for body in joint.bodies]
+    texts = [_body_fault(body, robots, joint.objects) for body in joint.bodies]
     for k, text in enumerate(texts):
         if text:
             yield (*where, "between", k), text
@@ -161,8 +177,18 @@ def _joint_faults(joint: WrittenJoint, where: Parts, robots: Robots) -> Faults:
             yield (*where, "between"), text
 
 
-def _arm_fault(name: Any, robots: Robots) -> str:
+def _object_faults(joint: WrittenJoint, where: Parts) -> Faults:
+    """Why it is not known which object a tip holds."""
+    if joint.object is None and len(joint.objects) > 1:
+        text = f"needs 'object', the one that the tip holds; objects are {listed(joint.objects)}"
+        yield where, text
+    elif isinstance(joint.object, str) and joint.object not in joint.objects:
+        yield (*where, "object"), unknown("object", joint.object, joint.objects)
+
+
+def _arm_fault(joint: WrittenJoint, robots: Robots) -> str:
     """Why ``arm`` names no tip; empty where it does."""
+    name = joint.arm
     tips = [str(BodyName(robot, tip)) for robot in robots for tip in robots[robot].tips or ("",)]
     if isinstance(name, str) and name in tips:
         return ""
@@ -175,17 +201,18 @@ def _arm_fault(name: Any, robots: Robots) -> str:
         return unknown("arm", name, tips)
     if robot.tips is None:
         return f"arm {body.robot!r} has one tip and is named alone, 'arm: {body.robot}'"
-    return _tip_fault(body, robot, links="write 'between: [{0}, object]'")
+    return _tip_fault(body, robot, links=f"write 'between: [{name}, {joint.objects[0]}]'")
 
 
-def _body_fault(body: BodyName, robots: Robots) -> str:
+def _body_fault(body: BodyName, robots: Robots, objects: Sequence[str]) -> str:
     """Why there is no such body; empty where there is."""
     if not body.is_link:
-        return "" if body in (OBJECT, WORLD) else f"{shown(str(body))} names no body"
+        known = body == WORLD or body.tip in objects
+        return "" if known else f"{shown(str(body))} names no body"
     robot = robots.get(body.robot)
     if robot is None:
         tips = [str(BodyName(name, tip)) for name in robots for tip in robots[name].tips or ("",)]
-        return unknown("body", str(body), ["object", "world", *tips], "bodies")
+        return unknown("body", str(body), [*objects, str(WORLD), *tips], "bodies")
     if robot.tips is None:
         if not body.tip:
             return ""
@@ -205,7 +232,7 @@ def _tip_fault(body: BodyName, robot: KnownRobot, links: str = "") -> str:
     if body.tip in robot.tips or robot.links is None:  # without links, the robot has faults
         return ""
     if body.tip in robot.links:
-        text = f"{body.tip!r} is a link of {body.robot!r} and no tip; {links.format(body)}, or "
+        text = f"{body.tip!r} is a link of {body.robot!r} and no tip; {links}, or "
         return f"{text}name the link below 'tips'" if links else ""
     if links:
         return unknown("tip", body.tip, robot.tips)
@@ -220,7 +247,7 @@ def _pair_fault(first: BodyName, second: BodyName, robots: Robots) -> str:
     for body in (first, second):
         if body.is_link and _rests(body, robots):
             return f"no joint that moves carries {str(body)!r}; write 'world' in its place"
-    if first == WORLD or (first == OBJECT and second.is_link):
+    if first == WORLD or (first.is_object and second.is_link):
         return (
             f"{str(first)!r} can only be SECOND here; write between: [{second}, {first}], with "
             "'at' and 'at_first' exchanged"

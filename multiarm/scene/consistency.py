@@ -13,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from multiarm.errors import USER_FAULTS, Fault, ModelError
 from multiarm.scene.arms import ArmSpec, examine_arm
+from multiarm.scene.bodies import OBJECT_NAME
 from multiarm.scene.code import located
 from multiarm.scene.connections import WrittenJoint, connection_faults, links_of
 from multiarm.scene.control import ControlKind, ControlSpec
@@ -29,6 +30,7 @@ from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
 from multiarm.scene.trunks import ArmGroup, arm_groups, group_faults, group_warnings
+from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,12 @@ class ValidParts:
         The valid ones.
     robot_names, robots
         The same of robots with several tips.
+    object_names : tuple of str or None
+        All objects that are written, valid or not.
+    objects : dict
+        The valid ones, by their places.
+    written_objects : tuple of str
+        Which of 'object' and 'objects' are written.
     joints : list
         What they connect, as it is written, whatever that is; None where there is no list.
     pushes : bool
@@ -70,10 +78,12 @@ class ValidParts:
     arms: dict[str, ArmSpec]
     robot_names: list[str] | None
     robots: dict[str, RobotSpec]
+    object_names: tuple[str, ...] | None
+    objects: dict[Parts, ObjectSpec]
+    written_objects: tuple[str, ...]
     joints: list[WrittenJoint] | None
     pushes: bool
     rubs: bool
-    object: ObjectSpec | None
     control: ControlKind | None
     effects: EffectsSpec | None
     run: RunSpec | None
@@ -85,19 +95,36 @@ class ValidParts:
         joints = joints if isinstance(joints, (list, tuple)) else None
         arm_names, arms = _named(ArmSpec, data.get("arms", {}), context)
         robot_names, robots = _named(RobotSpec, data.get("robots", {}), context)
+        names = object_names(data)
+        _, objects = _named(ObjectSpec, data.get("objects"), context)
+        places: dict[Parts, Any] = {("objects", name): spec for name, spec in objects.items()}
+        places[("object",)] = _valid(ObjectSpec, data.get("object"), context)
         return cls(
             arm_names=arm_names,
             arms=arms,
             robot_names=robot_names,
             robots=robots,
-            joints=None if joints is None else [WrittenJoint.of(joint) for joint in joints],
+            object_names=names,
+            objects={where: spec for where, spec in places.items() if spec is not None},
+            written_objects=tuple(
+                key for key in ("object", "objects") if data.get(key) is not None
+            ),
+            joints=None
+            if joints is None
+            else [WrittenJoint.of(joint, context["objects"]) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             rubs=any(_rubs(joint) for joint in joints or ()),
-            object=_valid(ObjectSpec, data.get("object"), context),
             control=_valid(ControlSpec, data.get("control"), context),
             effects=_valid(EffectsSpec, data.get("effects", {}), context),
             run=_valid(RunSpec, data.get("run"), context),
         )
+
+
+def object_names(data: Mapping[str, Any]) -> tuple[str, ...] | None:
+    """Names of the objects that are written; None where they are not known."""
+    if data.get("objects") is None:
+        return None if data.get("object") is None else (OBJECT_NAME,)
+    return tuple(map(str, data["objects"])) if isinstance(data["objects"], Mapping) else None
 
 
 def _valid(kind: Any, data: Any, context: Context) -> Any:
@@ -160,16 +187,18 @@ def check(parts: ValidParts, examined: Examined) -> Findings:
     """
     findings = Findings()
     _examine(parts, examined, findings)
+    _check_objects(parts, findings)
     known = _known_robots(parts, findings)
     if known is not None:
         _check_connections(parts, known, findings)
     _report_robots(parts, findings)
-    mesh = None if parts.object is None else parts.object.shape.mesh
-    if mesh is not None and not mesh.file.is_file():
-        findings.add_warning(
-            ("object", "shape", "mesh", "file"),
-            f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
-        )
+    for where, body in parts.objects.items():
+        mesh = body.shape.mesh
+        if mesh is not None and not mesh.file.is_file():
+            findings.add_warning(
+                (*where, "shape", "mesh", "file"),
+                f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
+            )
     if known is not None:
         _check_control(parts.control, known, findings)
         _check_effects(parts, known, findings)
@@ -202,7 +231,35 @@ def _known_robots(parts: ValidParts, findings: Findings) -> KnownRobots | None:
     known |= {name: KnownRobot(tips={}) for name in parts.robot_names}
     known |= {name: entry.examination for (_, name), entry in findings.examined.items()}
     names = (joint.connection for joint in parts.joints or ())
-    return KnownRobots(known, [name for name in names if name is not None])
+    connections = [name for name in names if name is not None]
+    return KnownRobots(known, connections, parts.object_names or (OBJECT_NAME,))
+
+
+def _check_objects(parts: ValidParts, findings: Findings) -> None:
+    """One object or several, with names of their own."""
+    if not parts.written_objects:
+        text = "is missing (the common object: shape, mass, pose); several stand below 'objects'"
+        findings.add_fault(("object",), text)
+        return
+    if len(parts.written_objects) > 1:
+        text = "is written beside 'object'; keep one of them: 'object', or all by name here"
+        findings.add_fault(("objects",), text)
+        return
+    if parts.object_names == ():
+        text = "is empty; list objects, such as {beam: {shape: {box: [1, 0.1, 0.1]}, mass: 5}}"
+        findings.add_fault(("objects",), text)
+    nouns = dict.fromkeys(parts.robot_names or (), "a robot")
+    nouns |= dict.fromkeys(parts.arm_names or (), "an arm")
+    names = parts.object_names or ()
+    for name in names if "objects" in parts.written_objects else ():
+        if name in nouns:
+            text = f"{nouns[name]} is named {name!r} too; give the object another name"
+            findings.add_fault(("objects", name), text)
+        floor = floor_owner(name, names)
+        if floor in nouns:
+            text = f"results have the floor's forces on {name!r} there; choose another name"
+            where = "arms" if nouns[floor] == "an arm" else "robots"
+            findings.add_fault((where, floor), text)
 
 
 def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings) -> None:
@@ -214,7 +271,7 @@ def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings
         if name in (parts.arm_names or ()):
             text = f"an arm is named {name!r} too; give the robot another name"
             findings.add_fault(("robots", name), text)
-    for where, text in connection_faults(parts.joints, known):
+    for where, text in connection_faults(parts.joints, known, bool(parts.object_names)):
         findings.add_fault(where, text)
 
 
@@ -247,6 +304,8 @@ def _check_control(control: ControlKind | None, arms: KnownRobots, findings: Fin
         faults = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
     except ModelError as error:
         faults = [((), str(error))]
+    if len(arms.objects) > 1:
+        faults = [*faults, *control.faults_with_several_objects()]
     for where, text in faults:
         findings.add_fault(("control", *where), text)
 

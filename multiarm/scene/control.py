@@ -48,10 +48,16 @@ class ControlKind(UserKind):
         The control in YAML, as a scene has it.
     by_joint : tuple of str
         Fields with values by arm and joint, which are checked against the arms.
+    of_one_object : bool
+        Whether it drives the object, and so the only one of a scene.
+    carries_by : str
+        The key by which its torques carry the weight, where it has one.
     """
 
     class_sort = "control"
     by_joint: ClassVar[tuple[str, ...]] = ()
+    of_one_object: ClassVar[bool] = False
+    carries_by: ClassVar[str] = "kind"
 
     kind: str
 
@@ -77,6 +83,22 @@ class ControlKind(UserKind):
             for key in self.by_joint
             for fault in below((key,), gain_faults(getattr(self, key), arms))
         ]
+
+    def faults_with_several_objects(self) -> Faults:
+        """What of it is for scenes with one object."""
+        tail = "is for scenes with one object; with several, "
+        kind = f"control kind {self.kind!r} {tail}"
+        if self.of_one_object:
+            return [(("kind",), f"{kind}drive the joints, as 'joint_pd' or a function does")]
+        faults: Faults = []
+        if self.object_waypoints:
+            faults.append((("path",), f"a path {tail}leave it out, or use kind 'recorded'"))
+        if self.carries and self.carries_by == "kind":
+            faults.append((("kind",), f"{kind}use a function, which returns such torques"))
+        elif self.carries:
+            text = f"carrying the weight {tail}write '{self.carries_by}: false'"
+            faults.append(((self.carries_by,), text))
+        return faults
 
     @classmethod
     def sample(cls) -> Self:
@@ -188,6 +210,7 @@ control:
   damping: 200      # [N m s/rad]
   path: [{time: 2.5, xyz: [0, 0, 0.65]}]   # where the object goes"""
     by_joint = ("stiffness", "damping")
+    carries_by = "gravity_compensation"
 
     kind: Literal["joint_pd"] = "joint_pd"
     stiffness: Gain
@@ -221,6 +244,7 @@ control:
   amplitude: {left: 20}   # [N m], of every joint of this arm
   frequency: 0.5          # [Hz]"""
     by_joint = ("amplitude", "phase", "offset")
+    carries_by = "hold"
 
     kind: Literal["harmonic"] = "harmonic"
     amplitude: PerArm
@@ -249,6 +273,7 @@ control:
   kind: recorded
   file: swing.csv   # columns: time [s], left/elbow_joint [N m], ..."""
     by_joint = ("stiffness", "damping")
+    carries_by = "gravity_compensation"
 
     kind: Literal["recorded"] = "recorded"
     file: FilePath
@@ -393,6 +418,8 @@ ContactForces = Annotated[
 
 class _ObjectControl(SampledControl):
     """Keys of both control laws."""
+
+    of_one_object = True
 
     path: ObjectPath = None
     relative_damping: NonNegative = 10.0

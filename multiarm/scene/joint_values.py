@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import BeforeValidator, TypeAdapter
 
 from multiarm.notation import count_of
+from multiarm.scene.bodies import OBJECT_NAME
 from multiarm.scene.faults import Faults, Parts, invalid, listed, shown, unknown
 from multiarm.scene.urdf import JointOutline
 from multiarm.scene.values import Number, as_list, finite_number, number_list
@@ -215,13 +216,16 @@ class KnownRobot:
 
 
 class KnownRobots(dict[str, KnownRobot]):
-    """The arms and robots of a scene by name, and the names of its connections."""
+    """The arms and robots of a scene by name, and the names of its connections and objects."""
 
     def __init__(
-        self, robots: Mapping[str, KnownRobot] | None = None, connections: Iterable[str] = ()
+        self,
+        robots: Mapping[str, KnownRobot] | None = None,
+        connections: Iterable[str] = (),
+        objects: Iterable[str] = (OBJECT_NAME,),
     ) -> None:
         super().__init__(robots or {})
-        self.connections = tuple(connections)
+        self.connections, self.objects = tuple(connections), tuple(objects)
 
 
 def unknown_robot(name: object, robots: KnownRobots) -> str:

@@ -3,7 +3,7 @@
 # ruff: noqa: F401
 
 from multiarm.scene.arms import ArmSpec, BaseSpec, ToolSpec, resolve_arm
-from multiarm.scene.bodies import OBJECT, WORLD, BodyName
+from multiarm.scene.bodies import WORLD, BodyName, object_named
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.code import function_text
 from multiarm.scene.control import CONTROLS, Waypoint, register_control

@@ -1,4 +1,4 @@
-"""The scene: robots joined to one common object, control, effects and settings of the run.
+"""The scene: robots and objects that joints connect, control, effects and settings of the run.
 
 A :class:`Scene` that exists is valid: its numbers are physical, its arms, frames and joints exist
 and fit together.  Whether it comes from YAML or is built in Python, one SceneError names all
@@ -12,30 +12,40 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic.json_schema import SkipJsonSchema
 from typing_extensions import Self
 
 from multiarm.errors import Fault, SceneError
 from multiarm.public import facts_html
 from multiarm.scene.arms import ArmSpec
+from multiarm.scene.bodies import OBJECT_NAME
 from multiarm.scene.changes import with_changes
 from multiarm.scene.code import located
-from multiarm.scene.consistency import Examined, ValidParts, check
+from multiarm.scene.consistency import Examined, ValidParts, check, object_names
 from multiarm.scene.control import ControlSpec, NoControl
 from multiarm.scene.effects import EffectsSpec
-from multiarm.scene.faults import counted, explain, fault_at, shown
+from multiarm.scene.faults import counted, explain, fault_at, listed, shown
 from multiarm.scene.joints import JointSpec
+from multiarm.scene.joints.kind import in_scene_of
 from multiarm.scene.object import ObjectSpec
 from multiarm.scene.registry import Classes
 from multiarm.scene.robot_spec import RobotSpec
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
 from multiarm.scene.trunks import ArmGroup
-from multiarm.scene.values import ArmName, RobotName, Vec3
+from multiarm.scene.values import ArmName, ObjectName, RobotName, Vec3
 
 
 class Scene(Spec):
-    """Robots joined to one common object, with control, effects and settings of the run.
+    """Robots and objects that joints connect, with control, effects and settings of the run.
 
     Parameters
     ----------
@@ -50,8 +60,10 @@ class Scene(Spec):
         A title.
     gravity : 3 numbers, optional
         [m/s^2], world axes. Absent: no gravity.
-    object : ObjectSpec
-        The common object: shape, mass, pose.
+    object : ObjectSpec, optional
+        The common object: shape, mass, pose. Absent where there are 'objects'.
+    objects : table of ObjectSpec, optional
+        In place of 'object', one or several: a table 'name: {shape: ..., mass: ..., pose: ...}'.
     arms : table of ArmSpec
         Robots with one tip: a table 'name: {robot: ..., tip: ...}'.
     robots : table of RobotSpec
@@ -73,9 +85,14 @@ class Scene(Spec):
         Naming every fault.
     """
 
+    model_config = ConfigDict(
+        json_schema_extra={"oneOf": [{"required": ["object"]}, {"required": ["objects"]}]}
+    )
+
     name: str = "unnamed scene"
     gravity: Vec3 | None = None
-    object: ObjectSpec
+    object: ObjectSpec | SkipJsonSchema[None] = None
+    objects: dict[ObjectName, ObjectSpec] | SkipJsonSchema[None] = None
     arms: dict[ArmName, ArmSpec] = Field(default_factory=dict)
     robots: dict[RobotName, RobotSpec] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...]
@@ -169,11 +186,6 @@ class Scene(Spec):
         return copy.replace(update) if update else copy
 
     @property
-    def all_objects(self) -> dict[str, ObjectSpec]:
-        """The objects by their names; that of ``object`` is called so."""
-        return {"object": self.object}
-
-    @property
     def folder(self) -> Path:
         """The folder at which relative paths of this scene started."""
         return self._folder
@@ -187,6 +199,28 @@ class Scene(Spec):
     def warnings(self) -> list[str]:
         """Warnings: locked joints, missing meshes, exceeded limits."""
         return list(self._warnings)
+
+    @property
+    def all_objects(self) -> dict[str, ObjectSpec]:
+        """The objects by name; the one of 'object' is named "object"."""
+        return dict(self.objects or {} if self.object is None else {OBJECT_NAME: self.object})
+
+    def one_object(self, what: str) -> ObjectSpec:
+        """The only object.
+
+        Raises
+        ------
+        SceneError
+            The scene has several, and ``what`` is not known for them.
+        """
+        bodies = self.all_objects
+        if len(bodies) > 1:
+            raise SceneError(f"{what} is for scenes with one object; this one has {listed(bodies)}")
+        return next(iter(bodies.values()))
+
+    def place_of_object(self, name: str) -> str:
+        """Where an object stands in the scene: ``object``, or ``objects.NAME``."""
+        return OBJECT_NAME if self.objects is None else f"objects.{name}"
 
     @property
     def arm_groups(self) -> tuple[ArmGroup, ...]:
@@ -212,7 +246,8 @@ class Scene(Spec):
 
     def _facts(self) -> dict[str, str]:
         """What it holds, in words."""
-        shape = next((f"{name}, " for name, value in self.object.shape if value is not None), "")
+        objects = {name: _object_fact(body) for name, body in self.all_objects.items()}
+        of_objects = [f"{name} ({fact})" for name, fact in objects.items()]
         kinds: dict[str, list[str]] = {name: [] for name in (*self.arms, *self.robots)}
         for joint in self.joints:
             for name in {joint.first.robot, joint.second.robot} & kinds.keys():
@@ -224,7 +259,7 @@ class Scene(Spec):
         arms, robots = ([f"{name} ({texts[name]})" for name in t] for t in (self.arms, self.robots))
         effects = list(self.effects.named)
         return {
-            "object": f"{shape}{self.object.mass:g} kg",
+            **(objects if self.objects is None else {"objects": counted(of_objects, 8)}),
             **({"arms": counted(arms, 8)} if arms else {}),
             **({"robots": counted(robots, 8)} if robots else {}),
             "control": self.control.kind,
@@ -237,11 +272,21 @@ class Scene(Spec):
 
     __hash__ = None  # type: ignore[assignment]
 
-    @field_validator("object", "arms", "robots", "joints", "control", "effects", mode="after")
+    @field_validator(
+        "object", "objects", "arms", "robots", "joints", "control", "effects", mode="after"
+    )
     @classmethod
     def _paths_are_absolute(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.context is not None, "a scene is read with its folder"
         return located(value, info.context["folder"])
+
+    @field_validator("joints", mode="after")
+    @classmethod
+    def _joints_know_the_objects(
+        cls, joints: tuple[JointSpec, ...], info: ValidationInfo
+    ) -> tuple[JointSpec, ...]:
+        assert info.context is not None, "a scene is read with the names of its objects"
+        return tuple(in_scene_of(joint, info.context["objects"]) for joint in joints)
 
     def _fill(
         self,
@@ -257,7 +302,12 @@ class Scene(Spec):
                 "Scene(object=..., arms=..., joints=...)"
             )
         folder = Path(folder or ".").expanduser().resolve()
-        context = {"folder": folder, "code": code, "classes": classes or {}}
+        context = {
+            "folder": folder,
+            "code": code,
+            "classes": classes or {},
+            "objects": object_names(data) or (OBJECT_NAME,),
+        }
         faults: list[Fault] = []
         try:
             self.__pydantic_validator__.validate_python(data, self_instance=self, context=context)
@@ -271,6 +321,11 @@ class Scene(Spec):
         self._folder, self._may_load_code = folder, code
         self._warnings, self._examined = tuple(findings.warnings), findings.examined
         self._arm_groups = findings.arm_groups
+
+
+def _object_fact(body: ObjectSpec) -> str:
+    shape = next((f"{name}, " for name, value in body.shape if value is not None), "")
+    return f"{shape}{body.mass:g} kg"
 
 
 def changed_scenes(scene: Scene, changes: Sequence[Mapping[str, Any]]) -> list[Scene]:

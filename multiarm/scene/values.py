@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import partial
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Annotated, Any
@@ -203,6 +203,11 @@ With several objects ``floor/NAME`` for each.
 """
 
 
+def floor_owner(name: str, objects: Collection[str]) -> str:
+    """Owner of the contacts of an object with the floor; ``objects`` are those of the scene."""
+    return SURROUNDINGS if len(objects) == 1 else f"{SURROUNDINGS}/{name}"
+
+
 def of_surroundings(owner: str) -> bool:
     """Whether an owner of rows stands for contacts with what stands still."""
     return owner.partition("/")[0] == SURROUNDINGS
@@ -213,6 +218,7 @@ _HEX_COLOR = "#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})"
 
 
 _BODIES = ("object", "world")  # which joints name besides the links of robots
+_AT_REST = ("world", SURROUNDINGS, "environment")  # what stands still, and its part of results
 
 
 def _name_of(noun: str, value: Any) -> str:
@@ -238,6 +244,13 @@ def _robot_name(value: Any) -> str:
     return name
 
 
+def _object_name(value: Any) -> str:
+    name = _name_of("an object", value)
+    if name in _AT_REST:
+        raise invalid(f"no object can be named {name!r}, which is the name of what stands still")
+    return name
+
+
 def _color(value: Any) -> tuple[float, ...]:
     remedy = "write '#3b7dd8' or [red, green, blue] from 0 to 1, with opacity as a fourth"
     value = as_list(value)
@@ -260,6 +273,11 @@ ArmName = Annotated[
 RobotName = Annotated[
     str,
     BeforeValidator(_robot_name),
+    WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
+]
+ObjectName = Annotated[
+    str,
+    BeforeValidator(_object_name),
     WithJsonSchema({"type": "string", "pattern": f"^{_ARM_NAME}$"}),
 ]
 TipName = Annotated[

@@ -83,7 +83,8 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
     if not weighs or scene.effects.floor is not None or not scene.control.carries:
         return None
     gravity = np.array(scene.gravity)
-    weight = np.append(-scene.object.mass * gravity, np.zeros(3))
+    body = scene.one_object("the load that contacts and drives carry")
+    weight = np.append(-body.mass * gravity, np.zeros(3))
     with system.borrow() as data:
         data.set_state(0.0, state)
         require_ok(data, update_kinematics(data.struct))

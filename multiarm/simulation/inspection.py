@@ -63,7 +63,7 @@ GOOD_PIVOT, ROUNDING_PIVOT = 1e-4, 1e-12
 
 @dataclass(frozen=True)
 class ObjectFacts:
-    """The object."""
+    """An object."""
 
     shape: str
     mass: float  # [kg]
@@ -183,7 +183,8 @@ class Inspection:
 
     scene: str
     gravity: list[float] | None  # [m/s^2]
-    object: ObjectFacts
+    object: ObjectFacts | None  # None where the scene has 'objects'
+    objects: dict[str, ObjectFacts]  # by name
     arms: dict[str, ArmFacts]
     robots: dict[str, RobotFacts]
     joints: list[JointFacts]
@@ -231,7 +232,8 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
     return Inspection(
         scene=scene.name,
         gravity=None if scene.gravity is None else list(scene.gravity),
-        object=_object_facts(scene.object),
+        object=None if scene.object is None else _object_facts(scene.object),
+        objects={name: _object_facts(body) for name, body in (scene.objects or {}).items()},
         arms={name: _arm_facts(system, name, evaluation) for name in scene.arms},
         robots={name: _robot_facts(system, name, evaluation) for name in scene.robots},
         joints=[

@@ -205,7 +205,7 @@ def _robots(
 
 
 def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
-    spec = trajectory.scene.object
+    spec = trajectory.scene.one_object("a replay")
     color, opacity = OBJECT_COLOR, OBJECT_OPACITY
     if spec.color is not None:
         color = np.array(spec.color[:3])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.geometry.frame_motion import FrameMotion
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName, object_named
 from multiarm.spatial import quaternion_to_matrix
 from multiarm.viewer.animation import rotations
 
@@ -41,9 +41,11 @@ class BodyPoses:
             name: np.array([arm.configuration(*at) for at in self._states_of(name)])
             for name, arm in system.arms.items()
         }
-        self._of_bodies = {OBJECT: np.tile(np.eye(4), (len(rows), 1, 1))}
-        self._of_bodies[OBJECT][:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
-        self._of_bodies[OBJECT][:, :3, 3] = trajectory.object_position[rows]
+        system.scene.one_object("a replay")
+        poses = np.tile(np.eye(4), (len(rows), 1, 1))
+        poses[:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
+        poses[:, :3, 3] = trajectory.object_position[rows]
+        self._of_bodies = {object_named(name): poses for name in system.scene.all_objects}
 
     def of(self, body: BodyName) -> np.ndarray:
         """World poses of a body, of a link those of its tip, shape (K, 4, 4)."""
@@ -89,7 +91,7 @@ def pose_at(system: System, state: State, body: BodyName) -> np.ndarray:
         positions, base = state.joint_positions[body.robot], state.bases.get(body.robot)
         return system.arms[body.robot].tip_pose(positions, body.tip, base)
     pose = np.eye(4)
-    if body == OBJECT:
+    if body.is_object:
         pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)
         pose[:3, 3] = state.object_position
     return pose

@@ -32,7 +32,7 @@ from multiarm.results.channels import channels_of
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import family_of
 from multiarm.results.event_log import Event, timed
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.body_poses import BodyPoses, pose_at, positions_at
 from multiarm.viewer.solids import revolve
@@ -177,7 +177,7 @@ def surface_bodies(
         states = row_states(trajectory, name, records, poses.rows)
         for (side, *_), on_surface in _surfaces(records).items():
             k = on_surface[0]
-            on_object = sides[side] == OBJECT
+            on_object = sides[side].is_object
             if on_object and not faces and records[k].object.kind == PLANE:
                 continue
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
@@ -275,6 +275,6 @@ def _touched(system: System, name: str, sides: Mapping[str, BodyName]) -> dict[s
 
 
 def object_size(system: System) -> float:
-    """Return the radius of gyration of the object [m], about its half size."""
-    spec = system.scene.object
-    return float(np.sqrt(np.trace(spec.inertia_matrix()) / spec.mass))
+    """Return the largest radius of gyration of an object [m], about its half size."""
+    objects = system.scene.all_objects.values()
+    return max(float(np.sqrt(np.trace(body.inertia_matrix()) / body.mass)) for body in objects)

@@ -20,7 +20,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.status import OK
 from multiarm.robots.robot import Robot, RobotFiles
 from multiarm.scene import parse_scene
-from multiarm.scene.bodies import OBJECT, BodyName
+from multiarm.scene.bodies import BodyName, object_named
 
 FINGERS = (3, 2, 1, 3)  # less than ten joints: Pinocchio orders them by name
 ENDS = np.cumsum(FINGERS).tolist()
@@ -43,7 +43,10 @@ def hand(hand_file):
 
 
 def held_by(*tips: int) -> list[Connection]:
-    return [Connection(f"hand/tip_{k}", BodyName("hand", f"tip_{k}"), OBJECT) for k in tips]
+    return [
+        Connection(f"hand/tip_{k}", BodyName("hand", f"tip_{k}"), object_named("object"))
+        for k in tips
+    ]
 
 
 def ranges(blocks) -> list[tuple[int, int]]:

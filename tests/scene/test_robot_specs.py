@@ -9,7 +9,6 @@ from refusals import refused
 
 from multiarm.errors import SceneError
 from multiarm.scene import (
-    OBJECT,
     WORLD,
     ArmSpec,
     BodyName,
@@ -21,6 +20,7 @@ from multiarm.scene import (
     dump_scene,
     find_robot,
     load_scene,
+    object_named,
     parse_scene,
     read_urdf,
     resolve_arm,
@@ -302,12 +302,12 @@ def test_joints_name_their_bodies_and_themselves():
     left, right = BodyName("tiago", "left"), BodyName("tiago", "right")
     bodies = [(joint.connection, joint.first, joint.second) for joint in scene.joints]
     assert bodies == [
-        ("tiago/left", left, OBJECT),
+        ("tiago/left", left, object_named("object")),
         ("tiago/right-world", right, WORLD),
-        ("second grip", left, OBJECT),
-        ("object-world", OBJECT, WORLD),
+        ("second grip", left, object_named("object")),
+        ("object-world", object_named("object"), WORLD),
         ("tiago/torso_lift_link-tiago/right", BodyName("tiago", "torso_lift_link"), right),
-        ("helper", BodyName("helper", ""), OBJECT),
+        ("helper", BodyName("helper", ""), object_named("object")),
         ("helper-world", BodyName("helper", ""), WORLD),
     ]
     assert scene.joints[1].on_first.xyz == (0.0, 0.0, 0.1)

@@ -145,7 +145,7 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
         points, normals = contact_places(data, state)
     R = quaternion_to_matrix(state.object_quaternion_xyzw.copy())
     points, normals = (points - state.object_position) @ R, normals @ R
-    body = body_of(system.scene.object)
+    body = body_of(system.scene.one_object("a grasp"))
     touches: list[_Touch] = []
     left_out, holding, layout = [], _holding(system), system.model.layout
     for owner, first_row in zip(layout.owners, layout.first_contact[:-1], strict=True):
@@ -441,7 +441,8 @@ def _carrying_force(system: System, grasp: SceneGrasp, evaluation: Evaluation) -
     if scene.gravity is None or not any(scene.gravity):
         return None
     R = quaternion_to_matrix(evaluation.state.object_quaternion_xyzw.copy())
-    weight = np.append(-scene.object.mass * R.T @ np.array(scene.gravity), np.zeros(3))
+    mass = scene.one_object("a grasp").mass
+    weight = np.append(-mass * R.T @ np.array(scene.gravity), np.zeros(3))
     distribution = distribute_forces(grasp.contacts, weight)
     return distribution.value if distribution else None
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BeforeValidator, TypeAdapter
 
-from multiarm.scene.effects.kind import EffectKind
-from multiarm.scene.faults import Faults, unknown
+from multiarm.scene.effects.kind import EffectKind, OfObjects
+from multiarm.scene.faults import Faults, listed, unknown
 from multiarm.scene.joint_values import URDF, KnownRobots, unknown_connection, unknown_robot
 from multiarm.scene.spec import shorthand
 from multiarm.scene.values import Bound, NonNegative, Pose, Positive, UnitInterval, Vec3, list_of
@@ -107,8 +107,8 @@ class ContactComplianceSpec(SomeContacts):
     """Of the damper [N s/m]."""
 
 
-class FloorSpec(EffectKind):
-    """A plane that the object can touch: a sphere anywhere, other shapes with their corners.
+class FloorSpec(OfObjects):
+    """A plane that objects can touch: a sphere anywhere, other shapes with their corners.
 
     A mesh touches with the corners of its convex hull.
     """
@@ -132,9 +132,13 @@ class FloorSpec(EffectKind):
     """
 
     def faults(self, arms: KnownRobots) -> Faults:
+        faults = super().faults(arms)
         if self.points == ():
-            return [(("points",), "is empty; list points of the object, or leave it out")]
-        return []
+            faults.append((("points",), "is empty; list points of the object, or leave it out"))
+        elif self.points is not None and self.object is None and len(arms.objects) > 1:
+            text = f"needs 'object', the one whose points these are: {listed(arms.objects)}"
+            faults.append((("points",), text))
+        return faults
 
     @classmethod
     def typical(cls, body: ObjectSpec) -> Mapping[str, Any] | None:

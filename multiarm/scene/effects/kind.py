@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator
 
-from multiarm.scene.faults import Faults
+from multiarm.scene.faults import Faults, unknown
 from multiarm.scene.joint_values import KnownRobots
 from multiarm.scene.parameters import summary_of
 from multiarm.scene.spec import Spec
@@ -84,6 +84,23 @@ class EffectKind(Spec):
     def warnings(self, _arms: KnownRobots) -> Faults:
         """Warnings about probable mistakes."""
         return []
+
+
+class OfObjects(EffectKind):
+    """An effect of the objects of a scene, or of one of them."""
+
+    object: str | None = None
+    """The object that it is of; absent: every object."""
+
+    def is_of(self, name: str) -> bool:
+        """Whether it is of the object with this name."""
+        return self.object in (None, name)
+
+    def faults(self, arms: KnownRobots) -> Faults:
+        """An object that is none."""
+        if self.object is None or self.object in arms.objects:
+            return []
+        return [(("object",), unknown("object", self.object, arms.objects))]
 
 
 def or_only(key: str, written: Any, *further_keys: str) -> BeforeValidator:

@@ -1,4 +1,4 @@
-"""Loads from outside: drag of the object, and wrenches on it or on links of the arms."""
+"""Loads from outside: drag of objects, and wrenches on them or on links of the arms."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from pydantic import AfterValidator, model_validator
 from typing_extensions import Self
 
 from multiarm.notation import count_of
+from multiarm.scene.bodies import BodyName, object_named
 from multiarm.scene.code import UserFunction
-from multiarm.scene.effects.kind import EffectKind
+from multiarm.scene.effects.kind import EffectKind, OfObjects
 from multiarm.scene.faults import Faults, invalid, listed, shown, unknown
 from multiarm.scene.joint_values import KnownRobots, unknown_robot
 from multiarm.scene.spec import FilePath, Spec
@@ -23,12 +24,11 @@ from multiarm.scene.values import BodyAxes, NonNegative, Number, Positive, Vec3,
 if TYPE_CHECKING:
     from multiarm.scene.object import ObjectSpec
 
-_OBJECT = "object"  # target of a wrench that does not act on a link
 _TABLE_COLUMNS = ("t", "fx", "fy", "fz", "mx", "my", "mz")  # [s], [N], [N m]
 
 
-class Drag(EffectKind):
-    """Resistance of the medium that the object moves through.
+class Drag(OfObjects):
+    """Resistance of the medium that objects move through.
 
     Along each axis of the object, with u its velocity relative to the medium and |u| its size,
     force = -(linear + (quadratic + density coefficient area / 2) |u|) u; about each axis,
@@ -201,7 +201,7 @@ def _some(wrenches: tuple) -> tuple:
 
 
 class ExternalWrench(EffectKind):
-    """A force and a torque from outside, at a point of the object or of a link.
+    """A force and a torque from outside, at a point of an object or of a link.
 
     Constant, or times a factor: at most one of ``sinusoid``, ``pulse``, ``table``, ``function``.
     """
@@ -214,8 +214,8 @@ effects:
     - {on: object, force: [0, 0, 5], sinusoid: {frequency: 2}}   # [N], [Hz]"""
 
     on: str
-    """Its target, 'object' or 'arm/link', of robots 'robot/link': a link of the robot's URDF or of
-    its tool's."""
+    """Its target: 'object', or an object by its name, or 'arm/link', of robots 'robot/link': a link
+    of the robot's URDF or of its tool's."""
     at: Vec3 = (0.0, 0.0, 0.0)
     """The point where the force acts, in the frame of the object or of the link [m]."""
     axes: Literal["world", "body"] = "world"
@@ -260,10 +260,10 @@ effects:
         return "Forces and torques from outside, on the object or on links."
 
     @property
-    def target(self) -> tuple[str, str] | None:
-        """Arm and link that it acts on; None: the object."""
-        arm, _, link = self.on.partition("/")
-        return None if self.on == _OBJECT else (arm, link)
+    def target(self) -> BodyName:
+        """The object, or the link of an arm or robot, that it acts on."""
+        arm, slash, link = self.on.partition("/")
+        return BodyName(arm, link) if slash and arm else object_named(self.on)
 
     def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms, and faults of the file."""
@@ -277,11 +277,12 @@ effects:
         return faults
 
     def _target_fault(self, arms: KnownRobots) -> str:
-        if self.target is None:
-            return ""
-        arm, link = self.target
-        if not link:
-            return f"must be 'object' or 'arm/link', got {shown(self.on)}"
+        arm, link = self.target.robot, self.target.tip
+        if not (arm and link):
+            if self.on in arms.objects:
+                return ""
+            objects = ", ".join(map(repr, arms.objects))
+            return f"must be {objects} or 'arm/link', got {shown(self.on)}"
         if arm not in arms:
             return unknown_robot(arm, arms)
         known = arms[arm]

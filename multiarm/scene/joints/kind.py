@@ -12,13 +12,27 @@ from textwrap import dedent, indent
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    model_validator,
+)
 from typing_extensions import Self
 
 from multiarm.errors import ModelError
 from multiarm.geometry import Contact
 from multiarm.geometry.records import Vector, basis, tangent_rows
-from multiarm.scene.bodies import OBJECT, BodyName, body_named, connection_name, tip_named
+from multiarm.scene.bodies import (
+    OBJECT_NAME,
+    BodyName,
+    body_named,
+    connection_name,
+    object_named,
+    tip_named,
+)
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
@@ -69,12 +83,14 @@ class Joint(UserKind):
     Attributes
     ----------
     arm : str
-        The arm, or the tip of a robot as 'robot/tip', that this joint connects with the object:
+        The arm, or the tip of a robot as 'robot/tip', that this joint connects with an object:
         FIRST is the link of the tip, SECOND the object. Empty where 'between' names the bodies.
+    object : str, optional
+        With 'arm', the object that the tip holds. May be left out where the scene has one.
     between : list of 2 str, optional
-        Instead of 'arm': the bodies [FIRST, SECOND]. 'object', 'world', an arm by its name,
-        'robot/tip' or 'robot/link'. FIRST is a link or the object, SECOND the object, the world or
-        another link of the same robot.
+        Instead of 'arm': the bodies [FIRST, SECOND]. 'object', or an object by its name, 'world',
+        an arm by its name, 'robot/tip' or 'robot/link'. FIRST is a link or an object, SECOND an
+        object, the world or another link of the same robot.
     name : str, optional
         A name for reports; with 'between' also in results. Absent: that of 'arm', or FIRST-SECOND.
     at : Pose, optional
@@ -94,19 +110,22 @@ class Joint(UserKind):
         The lines after ``kind: ...`` of a joint in YAML; may be empty if no parameter is required.
     free : tuple of int or None
         Components of the relative motion that stay free, in the axes of :meth:`frames`: 0 to 2 are
-        translations along x, y, z, 3 to 5 rotations about them. None: they depend on the geometry
-        and are determined at the start.
+        translations along x, y, z, 3 to 5 rotations about them. None: found at the start.
     limited : dict
         Component of the relative motion that each attribute limits.
     as_listed : bool
         The contacts are those that a user lists, so that their number and free motions vary.
     drawn_as : str
-        How a replay draws it: one of the hinges of :mod:`multiarm.viewer.animate`, or
-        ``surfaces`` if those of its contacts are surfaces of bodies.
+        How a replay draws it: a hinge of :mod:`multiarm.viewer.animate`, or ``surfaces``.
     """
 
     model_config = ConfigDict(
-        json_schema_extra={"oneOf": [{"required": ["arm"]}, {"required": ["between"]}]}
+        json_schema_extra={
+            "oneOf": [
+                {"required": ["arm"]},
+                {"required": ["between"], "not": {"required": ["object"]}},
+            ]
+        }
     )
     class_sort = "joint"
     free: ClassVar[tuple[int, ...] | None] = None
@@ -115,6 +134,7 @@ class Joint(UserKind):
     drawn_as: ClassVar[str] = ""
 
     arm: str = ""
+    object: str | None = None
     between: TwoBodies | None = None
     name: str | None = None
     at: Pose | None = None
@@ -123,6 +143,8 @@ class Joint(UserKind):
     mu: NonNegative | None = None
     kind: str
 
+    _objects: tuple[str, ...] = PrivateAttr((OBJECT_NAME,))
+
     @model_validator(mode="after")
     def _bodies_and_frames_are_written_once(self) -> Self:
         if bool(self.arm) == (self.between is not None):
@@ -130,6 +152,8 @@ class Joint(UserKind):
                 "needs either 'arm' (the tip that it connects with the object) or 'between' (two "
                 f"bodies, FIRST and SECOND), got {'both' if self.arm else 'neither'}"
             )
+        if self.object is not None and self.between is not None:
+            raise invalid("'object' belongs to 'arm'; 'between' names both bodies")
         if self.at_first is not None and "at_tip" in self.model_fields_set:
             raise invalid("gives both 'at_first' and 'at_tip', which are the same; keep one")
         return self
@@ -137,12 +161,16 @@ class Joint(UserKind):
     @property
     def first(self) -> BodyName:
         """The body whose points usually touch."""
-        return tip_named(self.arm) if self.between is None else body_named(self.between[0])
+        if self.between is None:
+            return tip_named(self.arm)
+        return body_named(self.between[0], self._objects)
 
     @property
     def second(self) -> BodyName:
         """The body whose surfaces are usually touched, and on which contact forces act."""
-        return OBJECT if self.between is None else body_named(self.between[1])
+        if self.between is None:
+            return object_named(self.object or self._objects[0])
+        return body_named(self.between[1], self._objects)
 
     @property
     def connection(self) -> str:
@@ -178,11 +206,7 @@ class Joint(UserKind):
 
     @property
     def free_limits(self) -> dict[int, tuple[float, float]]:
-        """Limits by component of the relative motion.
-
-        Components 0 to 2 are slides along [m], 3 to 5 turns about [rad] x, y, z of the joint frame
-        once that is turned so that z is the joint's axis.
-        """
+        """Limits [m, rad] by component of the relative motion, which are counted as in ``free``."""
         limits = {component: getattr(self, name) for name, component in self.limited.items()}
         return {component: ends for component, ends in limits.items() if ends is not None}
 
@@ -199,10 +223,7 @@ class Joint(UserKind):
     def placed(self, object_pose: np.ndarray) -> list[Contact]:
         """The contacts, the arm's geometry in the tip frame, the object's in the object frame.
 
-        Parameters
-        ----------
-        object_pose : ndarray, shape (4, 4)
-            Pose of the joint frame in the object frame.
+        ``object_pose`` (4, 4) is that of the joint frame in the object frame.
 
         Raises
         ------
@@ -273,6 +294,15 @@ class Joint(UserKind):
         if not {*(cls.free or ()), *cls.limited.values()} <= set(range(6)):
             return "'free' and 'limited' name components 0 to 5 of the relative motion"
         return cls.example_fault()
+
+
+def in_scene_of(joint: Joint, objects: tuple[str, ...]) -> Joint:
+    """The joint in a scene whose objects have these names."""
+    if objects == joint._objects:
+        return joint
+    joint = BaseModel.model_copy(joint)
+    joint._objects = objects
+    return joint
 
 
 class UnloadedJoint(Joint):
