@@ -32,7 +32,6 @@ from multiarm.control.object_path import reference_pose
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import (
-    AT_REST,
     add_object_equation,
     differentiate_bodies,
     open_equations,
@@ -99,7 +98,7 @@ def write_object_impedance_derivatives(address, size, at, t):
     differentiate_spring_wrench(t, law, data, derivatives.wrench)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    status = write_derivatives_at_rest(struct, derivatives.motion, AT_REST)
+    status = write_derivatives_at_rest(struct, derivatives.motion, motion.at_rest)
     if status == OK:
         status = differentiate_torques(law, command, False, struct, model, data, work, derivatives)
     return status

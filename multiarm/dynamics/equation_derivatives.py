@@ -98,6 +98,7 @@ class EquationWork(NamedTuple):
     Wr_o: Floats2  # (N, 6 F) the objects' rows of the contact forces, those of W_o without friction
     rates: Floats2  # (N, C) of the gaps' rates
     objects: Floats2  # (F, 24) their motions
+    at_rest: Floats1  # (6 F,) zeros, the twists of objects that do not move
     # scratch of one connection: motions of its bodies, their displacements by the joints; (C + 1,
     # 6) derivatives, and in the last used row the values, of the rows' wrenches on them, about
     # their origins in their axes
@@ -146,6 +147,7 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
         Wr_o=np.zeros((N, node)),
         rates=np.zeros((N, C)),
         objects=np.zeros((layout.frames, BODY_WIDTH)),
+        at_rest=np.zeros(node),
         first_body=np.zeros(BODY_WIDTH),
         second_body=np.zeros(BODY_WIDTH),
         first_moved=np.zeros((2 * d, DISPLACEMENT_WIDTH)),

@@ -231,7 +231,7 @@ class Modes:
             numbers=self.numbers,
             held=np.zeros(count, dtype=np.int64),
             states=np.zeros(len(self.unilateral.contacts)),
-            Wr_o=np.zeros((count, 6)),
+            Wr_o=np.zeros((count, self.full.model.layout.node)),
             prestress=np.zeros(count),
             springs=np.zeros(0, dtype=np.int64) if springs is None else springs.rows,
             spring_force=np.zeros(0) if springs is None else self.full.effect(COMPLIANCE).force,
