@@ -35,10 +35,12 @@ CLOSED = 1e-12
 
 def start_state(system) -> TreeState:
     start = system.initial_state()
-    return TreeState(
-        start.object_position, start.object_quaternion_xyzw, start.object_twist,
-        dict(start.joint_positions), dict(start.joint_velocities),
-    )  # fmt: skip
+    held = {
+        "position": start.object_position,
+        "quaternion_xyzw": start.object_quaternion_xyzw,
+        "twist": start.object_twist,
+    }
+    return TreeState({"object": held}, dict(start.joint_positions), dict(start.joint_velocities))
 
 
 def gap_rates(trees, state) -> np.ndarray:

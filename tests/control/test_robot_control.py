@@ -14,6 +14,7 @@ import pytest
 from mechanics import data_of
 from random_trees import FAMILIES, draw_trees
 from refusals import refused
+from scipy.linalg import block_diag
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 from tree_models import OBJECT, BodyFrame, TreeState, read_tree_scene, start_of
@@ -75,11 +76,8 @@ def in_motion(scene: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]
     trees = read_tree_scene(scene)
     start = start_of(scene, trees)
     rates = {name: rng.uniform(-0.3, 0.3, q.size) for name, q in start.joint_positions.items()}
-    drawn = TreeState(
-        start.object_position, start.object_quaternion_xyzw, rng.uniform(-0.3, 0.3, 6),
-        start.joint_positions, rates,
-    )  # fmt: skip
-    state = least_change(trees, drawn)
+    held = {OBJECT: {**start.objects[OBJECT], "twist": rng.uniform(-0.3, 0.3, 6)}}
+    state = least_change(trees, TreeState(held, start.joint_positions, rates))
     body = {**scene["object"], "twist": state.object_twist.tolist()}
     robots = {
         name: {**spec, "velocity": state.joint_velocities[name].tolist()}
@@ -126,11 +124,8 @@ def plant_of(scene: dict[str, Any]) -> Plant:
             jacobians[connection.name] = J
     model, R = robot.model, body.rotation
     gravity = pin.computeGeneralizedGravity(model, model.createData(), robot.position)
-    moments = R @ trees.object_model.inertias[1].inertia @ R.T
-    inertia = np.block(
-        [[trees.object_model.inertias[1].mass * np.eye(3), np.zeros((3, 3))],
-         [np.zeros((3, 3)), moments]]
-    )  # fmt: skip
+    box = trees.objects[OBJECT].inertias[1]
+    inertia = block_diag(box.mass * np.eye(3), R @ box.inertia @ R.T)
     return Plant(
         robot.inertia, robot.bias, gravity.copy(), A_o, couplings.A[:, of_robot],
         A_o @ body.bias - couplings.gamma, jacobians, robot.velocity, state.object_twist, inertia,

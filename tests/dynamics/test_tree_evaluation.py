@@ -41,7 +41,7 @@ def test_free_motions_of_connections_are_those_of_their_bodies(family, tmp_path)
         ma.evaluate(system, 0.0, start.displaced(side * h * start.velocity)) for side in (1.0, -1.0)
     ]
     for connection, joint in zip(trees.connections, drawn.scene["joints"], strict=True):
-        ends = [body_frame(end, trees.robots) for end in connection_ends(joint)]
+        ends = [body_frame(end, trees) for end in connection_ends(joint, trees.objects)]
         twist = relative_twist(motions, *ends)
         space, rates = ev.motion_space(connection.name), ev.relative_rates(connection.name)
         np.testing.assert_allclose(space.T @ rates, twist, atol=1e-9)

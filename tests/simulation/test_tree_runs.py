@@ -9,8 +9,9 @@ import pinocchio as pin
 import pytest
 from random_trees import FAMILIES, draw_moving_trees
 from scipy.integrate import solve_ivp
-from tree_models import TreeState, read_tree_scene
-from tree_oracle import Motions, solve_minimal
+from tree_models import read_tree_scene
+from tree_motion import dense_motion, far_apart, momenta, tree_state
+from tree_oracle import solve_minimal
 from tree_scenes import cart_scene, gripper_scene
 
 import multiarm as ma
@@ -31,76 +32,6 @@ def system_of(scene) -> ma.System:
     return ma.compile_system(parse_scene(scene))
 
 
-def tree_state(run: ma.Trajectory, k: int) -> TreeState:
-    return TreeState(
-        run.object_position[k], run.object_quaternion_xyzw[k], run.object_twist[k],
-        {name: q[k] for name, q in run.joint_positions.items()},
-        {name: v[k] for name, v in run.joint_velocities.items()},
-    )  # fmt: skip
-
-
-def reference(trees, state: TreeState, torques, end: float) -> TreeState:
-    """The state at the end, by SciPy, from accelerations of dense algebra."""
-    names = list(trees.robots)
-    sizes = np.cumsum([0, *[state.joint_positions[name].size for name in names]])
-
-    def state_of(y: np.ndarray) -> TreeState:
-        place, turn, q, twist, v = np.split(y, [3, 7, 7 + sizes[-1], 13 + sizes[-1]])
-        by_robot = [
-            {name: part[a:b] for name, a, b in zip(names, sizes, sizes[1:], strict=False)}
-            for part in (q, v)
-        ]
-        return TreeState(place, turn / np.linalg.norm(turn), twist, *by_robot)
-
-    def slope(_, y: np.ndarray) -> np.ndarray:
-        now = state_of(y)
-        solution = solve_minimal(trees, now, torques)
-        x, y_, z, w = now.object_quaternion_xyzw
-        wx, wy, wz = now.object_twist[3:]
-        rate = 0.5 * np.array([
-            w * wx + wy * z - wz * y_, w * wy + wz * x - wx * z,
-            w * wz + wx * y_ - wy * x, -wx * x - wy * y_ - wz * z,
-        ])  # fmt: skip
-        rates = [now.joint_velocities[name] for name in names]
-        accelerations = [solution.joint_accelerations[name] for name in names]
-        return np.concatenate(
-            [now.object_twist[:3], rate, *rates, solution.object_acceleration, *accelerations]
-        )
-
-    begin = np.concatenate([
-        state.object_position, state.object_quaternion_xyzw,
-        *[state.joint_positions[name] for name in names], state.object_twist,
-        *[state.joint_velocities[name] for name in names],
-    ])  # fmt: skip
-    solved = solve_ivp(slope, (0.0, end), begin, method="DOP853", rtol=1e-10, atol=1e-10)
-    return state_of(solved.y[:, -1])
-
-
-def far_apart(first: TreeState, second: TreeState) -> float:
-    """The largest difference of two states [m, rad; m/s, rad/s]."""
-    apart = [
-        np.max(np.abs(first.object_position - second.object_position)),
-        np.max(np.abs(first.object_twist - second.object_twist)),
-    ]
-    for name, q in first.joint_positions.items():
-        apart.append(np.max(np.abs(q - second.joint_positions[name])))
-        apart.append(np.max(np.abs(first.joint_velocities[name] - second.joint_velocities[name])))
-    return float(max(apart))
-
-
-def momentum(trees, state: TreeState) -> np.ndarray:
-    """Linear momentum of all robots and the object, world axes, shape (3,) [kg m/s]."""
-    motions, total = Motions(trees, state), np.zeros(3)
-    for name in motions.names:
-        moved = motions.models[name]
-        data = moved.model.createData()
-        # without the joints' armature, which no linear momentum belongs to
-        total += pin.computeCentroidalMomentum(
-            moved.model, data, moved.position, moved.velocity
-        ).linear
-    return total
-
-
 # --- the motion ----------------------------------------------------------------------------------
 
 
@@ -110,7 +41,7 @@ def test_the_motion_is_that_of_the_dense_reference(family, tmp_path):
     run = ma.simulate(system_of(scene), DURATION, integrator="dop853", tolerance=1e-11)
     assert run.status == "completed", run.message
     # errors of the reference, whose gaps are not closed again: its tolerance times the condition
-    assert far_apart(tree_state(run, -1), reference(trees, state, torques, DURATION)) < 2e-8
+    assert far_apart(tree_state(run, -1), dense_motion(trees, state, torques, DURATION)) < 2e-8
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -148,7 +79,7 @@ def test_a_cart_that_rolls_freely_keeps_its_momentum():
     run = ma.simulate(system_of(scene), 0.5, integrator="dop853", tolerance=1e-10)
     assert run.status == "completed", run.message
     trees = read_tree_scene(scene)
-    momenta = np.array([momentum(trees, tree_state(run, k)) for k in range(len(run))])
+    momenta = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
     assert np.max(np.abs(momenta[0, :2])) > 1.0
     np.testing.assert_allclose(momenta[:, :2], momenta[0, :2][None].repeat(len(run), 0), atol=1e-8)
     assert np.max(np.abs(run.energy_balance)) < 1e-8
@@ -172,7 +103,7 @@ def test_a_cart_stops_at_the_end_of_its_rail():
     assert hit["before"]["gap_rate_m_s"] == pytest.approx(-0.5, abs=1e-9)
     assert hit["after"]["gap_rate_m_s"] == pytest.approx(0.2, abs=1e-9)
     trees = read_tree_scene(scene)
-    momenta = np.array([momentum(trees, tree_state(run, k)) for k in range(len(run))])
+    momenta = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
     np.testing.assert_allclose(momenta[:, 1], momenta[0, 1], rtol=1e-9)
     change = momenta[-1, 0] - momenta[0, 0]
     assert change == pytest.approx(-hit["after"]["impulse_N_s"], rel=1e-8)

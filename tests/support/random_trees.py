@@ -28,6 +28,7 @@ from tree_models import (
     body_frame,
     connection_ends,
     constant_torques,
+    object_tables,
     pose_of,
     read_tree_scene,
     robot_tables,
@@ -277,7 +278,8 @@ def close_joints(scene: dict[str, Any], state: TreeState, displaced: Displaced) 
         return pin.SE3(frame.rotation, frame.origin)
 
     for joint in (joint for joint in scene["joints"] if "at" not in joint):
-        first, second = (pose(body_frame(end, trees.robots)) for end in connection_ends(joint))
+        ends = connection_ends(joint, trees.objects)
+        first, second = (pose(body_frame(end, trees)) for end in ends)
         on_first, displacement = displaced(joint)
         joint["at_tip" if "arm" in joint else "at_first"] = pose_of(on_first)
         S = first * on_first * displacement.inverse()
@@ -345,13 +347,13 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
     if np.any((values > EXACTLY_REDUNDANT) & (values < WELL_CONDITIONED)):
         return None
     rates = {name: rng.uniform(-1.0, 1.0, q.size) for name, q in drawn.joint_positions.items()}
-    state = TreeState(
-        drawn.object_position, drawn.object_quaternion_xyzw, rng.uniform(-1.0, 1.0, 6),
-        drawn.joint_positions, rates,
-        {name: {**base, "twist": rng.uniform(-1.0, 1.0, 6)} for name, base in drawn.bases.items()},
-    )  # fmt: skip
-    state = least_change(trees, state)
-    scene["object"]["twist"] = state.object_twist.tolist()
+    objects, bases = (
+        {name: {**frame, "twist": rng.uniform(-1.0, 1.0, 6)} for name, frame in frames.items()}
+        for frames in (drawn.objects, drawn.bases)
+    )
+    state = least_change(trees, TreeState(objects, drawn.joint_positions, rates, bases))
+    for name, table in object_tables(scene).items():
+        table["twist"] = state.objects[name]["twist"].tolist()
     for name, spec in robot_tables(scene).items():
         spec["velocity"] = state.joint_velocities[name].tolist()
         if name in state.bases:
@@ -516,6 +518,74 @@ def real_robots(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     return {"object": _object(rng), "robots": robots, "joints": joints}
 
 
+OBJECTS = ("beam", "plate", "box", "rod")
+
+
+def joints_of_objects(rng: np.random.Generator, names: list[str]) -> list[dict[str, Any]]:
+    """Chains and loops of objects: joints of all kinds among them, some with the world.
+
+    Now and then two objects are welded twice, so that six rows say nothing new.
+    """
+    joints: list[dict[str, Any]] = []
+
+    def add(first: str, second: str, most_rows: int = 6, **kind: Any) -> None:
+        drawn = kind or random_kind(rng, most_rows)
+        joints.append({"between": [first, second], "name": f"joint_{len(joints)}", **drawn})
+
+    for k in range(1, len(names)):
+        if rng.random() < 0.8:  # else no joint leads to those before it
+            pair = [names[int(rng.integers(k))], names[k]]
+            rng.shuffle(pair)
+            add(*pair)
+            if rng.random() < 0.15:
+                joints[-1] = {**joints[-1], "kind": "weld"}
+                add(*pair, kind="weld")
+    if len(names) > 2 and rng.random() < 0.5:
+        add(names[-1], names[0], most_rows=3)
+    if rng.random() < 0.4:
+        add(str(rng.choice(names)), WORLD, most_rows=5)
+    return joints
+
+
+def several_objects(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Two to four objects with joints among them, and robots of all sorts that hold them.
+
+    The first robot has two tips, which hold two objects.
+    """
+    names = list(OBJECTS[: int(rng.integers(2, 5))])
+    porter = tree_robot(rng, folder / "porter.urdf", 2, mimic=bool(rng.random() < 0.3))
+    on_base = [lambda _, spec: spec, _with_moves, _floating, _on_wheels][rng.integers(4)]
+    robots = {"porter": on_base(rng, porter)}
+    if rng.random() < 0.4:
+        robots["helper"] = tree_robot(rng, folder / "helper.urdf", int(rng.integers(1, 3)))
+    held = [str(name) for name in rng.permutation(names)]
+    joints = [
+        {"arm": tip, "object": held[k % len(held)], **random_kind(rng)}
+        for k, tip in enumerate(holds(robots))
+    ]
+    scene: dict[str, Any] = {"robots": robots}
+    if rng.random() < 0.5:
+        path, count = folder / "arm.urdf", int(rng.integers(3, 8))
+        random_tree(rng, path, count, branches=False)
+        base = pose_of(random_pose(rng, 0.5))
+        scene["arms"] = {"arm": {"urdf": str(path), "tip": f"link_{count}", "base": base}}
+        joints.append({"arm": "arm", "object": str(rng.choice(names)), **random_kind(rng)})
+    joints += joints_of_objects(rng, names)
+    return {"objects": {name: _object(rng) for name in names}, **scene, "joints": joints}
+
+
+def objects_alone(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Two to four objects that no robot holds; one robot stands aside, free or at the world."""
+    names = list(OBJECTS[: int(rng.integers(2, 5))])
+    aside = tree_robot(rng, folder / "aside.urdf", 1)
+    robots = {"aside": _floating(rng, aside) if rng.random() < 0.5 else aside}
+    joints = joints_of_objects(rng, names)
+    (tip,) = holds(robots)
+    joints.append({"between": [tip, WORLD], **random_kind(rng, most_rows=3)})
+    objects = {name: _object(rng) for name in names}
+    return {"objects": objects, "robots": robots, "joints": joints}
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
     family.__name__: family
     for family in (
@@ -523,8 +593,9 @@ FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
         hands, real_robots,
     )
 }  # fmt: skip
-# With those of robots that float, of whose state the base's motion is a part.
-ALL_FAMILIES = {**FAMILIES, "floating_bases": floating_bases}
+OF_SEVERAL_OBJECTS = {family.__name__: family for family in (several_objects, objects_alone)}
+# With those of robots that float, of whose state the base's motion is a part, and of objects.
+ALL_FAMILIES = {**FAMILIES, "floating_bases": floating_bases, **OF_SEVERAL_OBJECTS}
 
 
 def draw_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTrees:
@@ -540,6 +611,7 @@ def draw_moving_trees(family: str, rng: np.random.Generator, folder: Path) -> Ra
     """As :func:`draw_trees`, a scene that is no rigid structure: it moves from the start on."""
     while True:
         drawn = draw_trees(family, rng, folder)
-        rates = [drawn.state.object_twist, *drawn.state.joint_velocities.values()]
+        rates = [frame["twist"] for frame in drawn.state.objects.values()]
+        rates += drawn.state.joint_velocities.values()
         if np.max(np.abs(np.concatenate(rates))) > 0.1:
             return drawn

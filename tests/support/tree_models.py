@@ -2,7 +2,7 @@
 
 A scene is a dictionary as its YAML file would be.  Each robot becomes one model: base joints, then
 the joints on the way to its tips and to the links that connections name, in Pinocchio's order; all
-others are locked.  Every joint has one coordinate: continuous joints turn as revolute ones.  The
+others are locked.  Every joint has one coordinate: continuous joints turn as revolute ones.  Each
 object is a model of its own, a free body.
 
 Not read: control other than constant torques, effects, tools, joints without ``at``.
@@ -11,7 +11,8 @@ Not read: control other than constant torques, effects, tools, joints without ``
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,7 +41,7 @@ class Mimic(NamedTuple):
 class BodyFrame(NamedTuple):
     """A frame on a body: the body, its joint in the body's model, and the pose there.
 
-    ``body`` is the name of a robot, ``object``, or ``world``.
+    ``body`` is the name of a robot or of an object, or ``world``.
     """
 
     body: str
@@ -89,27 +90,49 @@ class RobotModel:
 
 @dataclass(frozen=True)
 class TreeState:
-    """A state; the fields are the arguments of ``system.state``."""
+    """A state; the fields are the arguments of ``system.state``.
 
-    object_position: np.ndarray
-    object_quaternion_xyzw: np.ndarray
-    object_twist: np.ndarray
+    Of objects and of bases that float: ``position`` (3,), ``quaternion_xyzw`` (4,), ``twist`` (6,).
+    """
+
+    objects: dict[str, dict[str, np.ndarray]]
     joint_positions: dict[str, np.ndarray]
     joint_velocities: dict[str, np.ndarray] = field(default_factory=dict)
-    bases: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)  # those that float
+    bases: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def object_position(self) -> np.ndarray:
+        """Of the only object."""
+        return only(self.objects)["position"]
+
+    @property
+    def object_quaternion_xyzw(self) -> np.ndarray:
+        """Of the only object."""
+        return only(self.objects)["quaternion_xyzw"]
+
+    @property
+    def object_twist(self) -> np.ndarray:
+        """Of the only object."""
+        return only(self.objects)["twist"]
 
 
 @dataclass(frozen=True)
 class TreeScene:
-    """Robots, object and connections of a scene."""
+    """Robots, objects and connections of a scene."""
 
     gravity: np.ndarray
-    object_model: pin.Model
+    objects: dict[str, pin.Model]
     robots: dict[str, RobotModel]
     connections: tuple[Connection, ...]
 
 
 # --- small values --------------------------------------------------------------------------------
+
+
+def only(things: dict[str, Any]) -> Any:
+    """The value of a table with one entry."""
+    (thing,) = things.values()
+    return thing
 
 
 def placement(pose: dict[str, Any] | None) -> pin.SE3:
@@ -295,16 +318,24 @@ def _base(base: dict[str, Any]) -> tuple[pin.Model, int, pin.SE3]:
 # --- scenes --------------------------------------------------------------------------------------
 
 
-def connection_ends(joint: dict[str, Any]) -> tuple[str, str]:
-    """The bodies FIRST and SECOND of a joint as they are written."""
+def connection_ends(joint: dict[str, Any], objects: Iterable[str]) -> tuple[str, str]:
+    """The bodies FIRST and SECOND of a joint as they are written, in a scene of these objects."""
     if "between" in joint:
         first, second = joint["between"]
         return first, second
-    return joint["arm"], OBJECT
+    if "object" in joint:
+        return joint["arm"], joint["object"]
+    (held,) = objects
+    return joint["arm"], held
 
 
 def connection_name(joint: dict[str, Any]) -> str:
     return joint.get("name") or joint.get("arm") or "-".join(joint["between"])
+
+
+def object_tables(scene: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The tables of objects by name; ``object`` is the name of that below ``object:``."""
+    return scene["objects"] if "objects" in scene else {OBJECT: scene["object"]}
 
 
 def robot_tables(scene: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -314,25 +345,31 @@ def robot_tables(scene: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def read_tree_scene(scene: dict[str, Any]) -> TreeScene:
     """The Pinocchio models of a scene, and its connections."""
-    ends = [end for joint in scene["joints"] for end in connection_ends(joint)]
+    gravity = np.array(scene.get("gravity") or [0.0, 0.0, 0.0])
+    objects = {name: _free_body(name, box) for name, box in object_tables(scene).items()}
+    ends = [end for joint in scene["joints"] for end in connection_ends(joint, objects)]
     robots = {}
     for name, spec in robot_tables(scene).items():
         tips = set(spec.get("tips", {}))
         written = {end.partition("/")[2] for end in ends if end.startswith(f"{name}/")}
         robots[name] = read_robot(name, spec, written - tips)
-        robots[name].model.gravity.linear = np.array(scene.get("gravity") or [0.0, 0.0, 0.0])
-    box = scene["object"]
+    for model in (*objects.values(), *(robot.model for robot in robots.values())):
+        model.gravity.linear = gravity
+    trees = TreeScene(gravity, objects, robots, ())
+    connections = [_read_connection(joint, trees) for joint in scene["joints"]]
+    return replace(trees, connections=tuple(connections))
+
+
+def _free_body(name: str, box: dict[str, Any]) -> pin.Model:
     free = pin.Model()
-    free.gravity.linear = np.array(scene.get("gravity") or [0.0, 0.0, 0.0])
-    free.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), OBJECT)
+    free.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
     body = pin.Inertia(float(box["mass"]), np.zeros(3), inertia_matrix(box["inertia"]))
     free.appendBodyToJoint(1, body, pin.SE3.Identity())
-    connections = [_read_connection(joint, robots) for joint in scene["joints"]]
-    return TreeScene(free.gravity.linear.copy(), free, robots, tuple(connections))
+    return free
 
 
-def _read_connection(joint: dict[str, Any], robots: dict[str, RobotModel]) -> Connection:
-    first, second = (body_frame(end, robots) for end in connection_ends(joint))
+def _read_connection(joint: dict[str, Any], trees: TreeScene) -> Connection:
+    first, second = (body_frame(end, trees) for end in connection_ends(joint, trees.objects))
     on_first = joint.get("at_first", joint.get("at_tip"))
     return Connection(
         connection_name(joint), joint,
@@ -340,39 +377,43 @@ def _read_connection(joint: dict[str, Any], robots: dict[str, RobotModel]) -> Co
     )  # fmt: skip
 
 
-def body_frame(end: str, robots: dict[str, RobotModel]) -> BodyFrame:
+def body_frame(end: str, trees: TreeScene) -> BodyFrame:
     """The frame of a body as a joint names it."""
     if end == WORLD:
         return BodyFrame(WORLD, 0, pin.SE3.Identity())
-    if end == OBJECT:
-        return BodyFrame(OBJECT, 1, pin.SE3.Identity())
+    if end in trees.objects:
+        return BodyFrame(end, 1, pin.SE3.Identity())
     name, _, link = end.partition("/")
-    robot = robots[name]
+    robot = trees.robots[name]
     return robot.links[robot.tips.get(link, link)]
 
 
 def start_of(scene: dict[str, Any], trees: TreeScene) -> TreeState:
-    """The state that a scene writes: postures and velocities as lists, poses of the object."""
-    box = scene["object"]
-    X_WO = placement(box.get("pose"))
+    """The state that a scene writes: postures and velocities as lists, poses of the objects."""
+    objects = {
+        name: frame_state(placement(box.get("pose")), box.get("twist"))
+        for name, box in object_tables(scene).items()
+    }
     positions, velocities = {}, {}
     for name, spec in robot_tables(scene).items():
         n = len(trees.robots[name].joints)
         positions[name] = np.array(spec.get("posture", np.zeros(n)), dtype=float)
         velocities[name] = np.array(spec.get("velocity", np.zeros(n)), dtype=float)
-    bases = {}
-    for name, spec in robot_tables(scene).items():
-        if trees.robots[name].floats:
-            X_WB = placement(spec["base"])
-            bases[name] = {
-                "position": X_WB.translation.copy(),
-                "quaternion_xyzw": Rotation.from_matrix(X_WB.rotation).as_quat(),
-                "twist": np.array(spec["base"].get("twist", np.zeros(6)), dtype=float),
-            }
-    return TreeState(
-        X_WO.translation.copy(), Rotation.from_matrix(X_WO.rotation).as_quat(),
-        np.array(box.get("twist", np.zeros(6)), dtype=float), positions, velocities, bases,
-    )  # fmt: skip
+    bases = {
+        name: frame_state(placement(spec["base"]), spec["base"].get("twist"))
+        for name, spec in robot_tables(scene).items()
+        if trees.robots[name].floats
+    }
+    return TreeState(objects, positions, velocities, bases)
+
+
+def frame_state(X: pin.SE3, twist: Any = None) -> dict[str, np.ndarray]:
+    """A floating frame as a :class:`TreeState` has it; at rest where there is no twist."""
+    return {
+        "position": X.translation.copy(),
+        "quaternion_xyzw": Rotation.from_matrix(X.rotation).as_quat(),
+        "twist": np.zeros(6) if twist is None else np.array(twist, dtype=float),
+    }
 
 
 def constant_torques(scene: dict[str, Any], trees: TreeScene) -> dict[str, np.ndarray]:

@@ -1,6 +1,6 @@
 r"""Forward dynamics of scenes whose robots are trees, by dense algebra, in two ways.
 
-*Minimal coordinates.*  Pinocchio's inertia, bias and frame Jacobians of each robot and of the
+*Minimal coordinates.*  Pinocchio's inertia, bias and frame Jacobians of each robot and of each
 object as a free body; the equations of the joints as rows ``A``.
 
 *Maximal coordinates.*  Every link is a free body under Newton's and Euler's laws; the joints of the
@@ -24,7 +24,7 @@ import numpy as np
 import pinocchio as pin
 from joint_equations import Equation, FrameMotion, displacement, joint_equations, skew
 from scipy.linalg import block_diag
-from tree_models import OBJECT, WORLD, BodyFrame, Mimic, TreeScene, TreeState, joint_motion
+from tree_models import WORLD, BodyFrame, Mimic, TreeScene, TreeState, joint_motion, only
 
 # Singular values of `A` below this part of the largest count as zero.
 RANK_TOLERANCE = 1e-7
@@ -38,11 +38,11 @@ class TreeSolution:
 
     Attributes
     ----------
-    object_acceleration : ndarray, shape (6,)
+    object_accelerations : dict object -> ndarray, shape (6,)
         Of the centre of mass (classical), and angular acceleration, world axes.
     joint_accelerations : dict robot -> ndarray, shape (n,)
     base_accelerations : dict robot -> ndarray, shape (6,)
-        As that of the object, of the origin of a floating base.
+        As those of objects, of the origin of a floating base.
     wrenches : dict connection -> ndarray, shape (6,)
         On the SECOND body, about the origin of the joint frame on SECOND, world axes.
     origins : dict connection -> ndarray, shape (3,)
@@ -57,7 +57,7 @@ class TreeSolution:
         Independent equations of connections, mimic couplings and wheels, and all of them.
     """
 
-    object_acceleration: np.ndarray
+    object_accelerations: dict[str, np.ndarray]
     joint_accelerations: dict[str, np.ndarray]
     base_accelerations: dict[str, np.ndarray]
     wrenches: dict[str, np.ndarray]
@@ -68,6 +68,11 @@ class TreeSolution:
     rank: int
     rows: int
 
+    @property
+    def object_acceleration(self) -> np.ndarray:
+        """Of the only object."""
+        return only(self.object_accelerations)
+
     def wrench(self, connection: str, about: np.ndarray) -> np.ndarray:
         """The wrench on SECOND about another point."""
         force, moment = np.split(self.wrenches[connection], 2)
@@ -76,17 +81,32 @@ class TreeSolution:
 
 def disagreement(solution: TreeSolution, peer: TreeSolution) -> float:
     """Largest difference of accelerations and of determined wrenches, by the largest of each."""
-    pairs = [(solution.object_acceleration, peer.object_acceleration)]
-    pairs += [
-        (a, peer.joint_accelerations[name]) for name, a in solution.joint_accelerations.items()
-    ]
-    pairs += [(a, peer.base_accelerations[name]) for name, a in solution.base_accelerations.items()]
+    pairs = _accelerations(solution, peer)
     wrenches = [
         (wrench, peer.wrench(name, solution.origins[name]))
         for name, wrench in solution.wrenches.items()
         if solution.unique[name]
     ]
     return max(_relative_difference(pairs), _relative_difference(wrenches))
+
+
+def _accelerations(solution: TreeSolution, peer: Any) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs of accelerations of a solution and of another or an ``ma.Evaluation``."""
+    kinds = ("object_accelerations", "joint_accelerations", "base_accelerations")
+    return [
+        (acceleration, getattr(peer, kind)[name])
+        for kind in kinds
+        for name, acceleration in getattr(solution, kind).items()
+    ]
+
+
+def centres_of_seconds(trees: TreeScene, state: TreeState) -> dict[str, np.ndarray]:
+    """Centres (3,) of the objects on which connections act, by the connection."""
+    return {
+        connection.name: state.objects[connection.second.body]["position"]
+        for connection in trees.connections
+        if connection.second.body in trees.objects
+    }
 
 
 def evaluation_errors(
@@ -97,11 +117,7 @@ def evaluation_errors(
     Its wrenches act on SECOND, about a point ``about`` (3,) [m] of the connection; about the origin
     of the joint's frame on SECOND where there is none.
     """
-    pairs = [(solution.object_acceleration, evaluation.object_acceleration)]
-    for name, accelerations in solution.joint_accelerations.items():
-        pairs.append((accelerations, evaluation.joint_accelerations[name]))
-    for name, acceleration in solution.base_accelerations.items():
-        pairs.append((acceleration, evaluation.base_accelerations[name]))
+    pairs = _accelerations(solution, evaluation)
     wrenches = [
         (
             solution.wrench(name, about.get(name, solution.origins[name])),
@@ -194,7 +210,7 @@ def solve_maximal(
         )
     for name, row in torques.items():
         f[links.coordinates.rates[name]] = row
-    internal = [links.joint_rows(name, i) for name, i in links.places if name != OBJECT]
+    internal = [links.joint_rows(name, i) for name, i in links.places]
     rows, gamma = (np.concatenate(part) for part in zip(*internal, strict=True))
     couplings = collect(trees, links.frame, n, links.coordinates.rates)
     a, multipliers, loose = solve_equations(Equations(M, f, rows, gamma, couplings))
@@ -204,13 +220,14 @@ def solve_maximal(
 
 
 def free_frames(trees: TreeScene) -> dict[str, BodyFrame]:
-    """The frames of the object and of floating bases, by the body."""
+    """The frames of objects and of floating bases, by the body."""
     floating = [name for name, robot in trees.robots.items() if robot.floats]
-    return {name: BodyFrame(name, 1, pin.SE3.Identity()) for name in (OBJECT, *floating)}
+    return {name: BodyFrame(name, 1, pin.SE3.Identity()) for name in (*trees.objects, *floating)}
 
 
 def _solution(trees, accelerations, rates, couplings, multipliers, loose) -> TreeSolution:
-    bases = {name: a for name, a in accelerations.items() if name != OBJECT}
+    objects = {name: accelerations[name] for name in trees.objects}
+    bases = {name: a for name, a in accelerations.items() if name not in objects}
     wrenches, unique = {}, {}
     for name, rows in couplings.rows.items():
         wrenches[name] = couplings.on_second[name] @ multipliers[rows]
@@ -227,7 +244,7 @@ def _solution(trees, accelerations, rates, couplings, multipliers, loose) -> Tre
         if unique
     }
     return TreeSolution(
-        accelerations[OBJECT], rates, bases, wrenches, couplings.origins, unique,
+        objects, rates, bases, wrenches, couplings.origins, unique,
         dict(zip(mimics, multipliers[first:first_wheel].tolist(), strict=True)), wheel_forces,
         multipliers.size - loose.shape[1], multipliers.size,
     )  # fmt: skip
@@ -282,12 +299,12 @@ def least_change(trees: TreeScene, state: TreeState) -> TreeState:
     v = np.concatenate([motions.models[name].velocity for name in motions.names])
     v = v - np.linalg.pinv(A, rcond=RANK_TOLERANCE) @ (A @ v)
     free = {name: motions.frame(on_body) for name, on_body in free_frames(trees).items()}
-    twists = {name: frame.jacobian @ v for name, frame in free.items()}
-    return TreeState(
-        state.object_position, state.object_quaternion_xyzw, twists[OBJECT],
-        state.joint_positions, {name: v[rates[name]] for name in trees.robots},
-        {name: {**base, "twist": twists[name]} for name, base in state.bases.items()},
-    )  # fmt: skip
+    objects, bases = (
+        {name: {**frame, "twist": free[name].jacobian @ v} for name, frame in frames.items()}
+        for frames in (state.objects, state.bases)
+    )
+    velocities = {name: v[rates[name]] for name in trees.robots}
+    return TreeState(objects, state.joint_positions, velocities, bases)
 
 
 # --- rows of connections -------------------------------------------------------------------------
@@ -354,19 +371,19 @@ class ModelMotion(NamedTuple):
 
 
 class Motions:
-    """The motion of frames in generalised coordinates: the object's, then those of the robots."""
+    """The motion of frames in generalised coordinates: of the objects, then of the robots."""
 
     def __init__(self, trees: TreeScene, state: TreeState):
-        self.names = (OBJECT, *trees.robots)
-        q = np.concatenate([state.object_position, state.object_quaternion_xyzw])
-        self.models = {OBJECT: _moved(trees.object_model, q, _in_body_axes(q, state.object_twist))}
+        self.names = (*trees.objects, *trees.robots)
+        self.models = {
+            name: _moved(model, *_free_motion(state.objects[name]))
+            for name, model in trees.objects.items()
+        }
         for name, robot in trees.robots.items():
             q, rates = state.joint_positions[name], state.joint_velocities[name]
             if robot.floats:
-                base = state.bases[name]
-                pose = np.concatenate([base["position"], base["quaternion_xyzw"]])
-                q = np.concatenate([pose, q])
-                rates = np.concatenate([_in_body_axes(pose, base["twist"]), rates])
+                pose, twist = _free_motion(state.bases[name])
+                q, rates = np.concatenate([pose, q]), np.concatenate([twist, rates])
             self.models[name] = _moved(robot.model, q, rates)
         ends = np.cumsum([0, *[self.models[name].velocity.size for name in self.names]]).tolist()
         places = {
@@ -374,9 +391,8 @@ class Motions:
             for name, *bounds in zip(self.names, ends[:-1], ends[1:], strict=True)
         }
         rates = {
-            name: slice(place.stop - len(trees.robots[name].joints), place.stop)
-            for name, place in places.items()
-            if name != OBJECT
+            name: slice(places[name].stop - len(robot.joints), places[name].stop)
+            for name, robot in trees.robots.items()
         }
         self.coordinates = Coordinates(places, rates, ends[-1])
 
@@ -404,10 +420,11 @@ class Motions:
         )
 
 
-def _in_body_axes(pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """A twist in the axes of the frame with this pose."""
-    R = pin.XYZQUATToSE3(pose).rotation
-    return np.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
+def _free_motion(frame: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Configuration (7,) and velocity (6,) of Pinocchio's free flyer, whose axes are its own."""
+    pose = np.concatenate([frame["position"], frame["quaternion_xyzw"]])
+    R, twist = pin.XYZQUATToSE3(pose).rotation, frame["twist"]
+    return pose, np.concatenate([R.T @ twist[:3], R.T @ twist[3:]])
 
 
 def _moved(model: pin.Model, q: np.ndarray, v: np.ndarray) -> ModelMotion:
@@ -441,7 +458,7 @@ class Links:
     """Links as free bodies: six coordinates a link, then the rates of all joints."""
 
     def __init__(self, trees: TreeScene, state: TreeState):
-        self.models = {OBJECT: trees.object_model}
+        self.models = dict(trees.objects)
         self.models |= {name: robot.model for name, robot in trees.robots.items()}
         self._minimal = Motions(trees, state)
         keys = [(name, i) for name, model in self.models.items() for i in range(1, model.njoints)]
