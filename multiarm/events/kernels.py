@@ -82,7 +82,7 @@ class ModeArrays(NamedTuple):
     numbers: ModeNumbers
     held: Ints1  # (m,) rows among all
     states: Floats1  # (u,) state of every contact, as it is recorded
-    Wr_o: Floats2  # (m, 6) the object's rows of the reaction matrices
+    Wr_o: Floats2  # (m, 6 F) the objects' rows of the reaction matrices
     prestress: Floats1  # (m,) the forces lambda_0
     # compliant contacts: rows among all, and forces
     springs: Ints1

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from mechanics import ur5_pair
 from merged_arms import ROBOT, as_one_robot
-from random_trees import FAMILIES, draw_moving_trees
+from random_trees import FAMILIES, OF_SEVERAL_OBJECTS, draw_moving_trees
 from tree_models import BodyFrame, body_frame, connection_ends, read_tree_scene
 from tree_oracle import Motions, solve_minimal
 from tree_scenes import arm_joined_twice, cart_scene, coupled_hand
@@ -30,7 +30,7 @@ def relative_twist(motions: Motions, first: BodyFrame, second: BodyFrame) -> np.
     return np.concatenate([S.rotation.T @ velocity, S.rotation.T @ (F.twist[3:] - S.twist[3:])])
 
 
-@pytest.mark.parametrize("family", SURROUNDED)
+@pytest.mark.parametrize("family", (*SURROUNDED, *OF_SEVERAL_OBJECTS))
 def test_free_motions_of_connections_are_those_of_their_bodies(family, tmp_path):
     drawn = draw_moving_trees(family, np.random.default_rng(5), tmp_path)
     trees, state = drawn.trees, drawn.state
@@ -122,7 +122,7 @@ def test_all_tips_have_kinematics():
         ma.evaluate(system).motion_space("cart")
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", (*FAMILIES, *OF_SEVERAL_OBJECTS))
 def test_everything_shows_itself(family, tmp_path):
     """Texts of systems, states and evaluations of all families can be made."""
     drawn = draw_moving_trees(family, np.random.default_rng(7), tmp_path)

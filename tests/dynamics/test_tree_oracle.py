@@ -15,7 +15,6 @@ import pytest
 from joint_equations import FINGERTIPS, LOWER_PAIRS, FrameMotion, joint_equations
 from random_trees import (
     ALL_FAMILIES,
-    OF_SEVERAL_OBJECTS,
     REAL_ROBOTS,
     ROWS,
     WELL_CONDITIONED,
@@ -47,7 +46,6 @@ EPS = float(np.finfo(float).eps)
 AGREEMENT = 40.0 * EPS / WELL_CONDITIONED**2
 PER_FAMILY = 3
 KINDS = (*LOWER_PAIRS, *FINGERTIPS)
-OF_ONE_OBJECT = [family for family in ALL_FAMILIES if family not in OF_SEVERAL_OBJECTS]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +87,7 @@ def test_minimal_and_maximal_coordinates_agree(family, drawn):
 @pytest.mark.parametrize(
     ("solver", "arms"), [("node", "pinocchio"), ("dense", "pinocchio"), ("node", "compiled")]
 )
-@pytest.mark.parametrize("family", OF_ONE_OBJECT)
+@pytest.mark.parametrize("family", ALL_FAMILIES)
 @pytest.mark.filterwarnings("ignore:robot '.*' stays with Pinocchio. its base floats")
 def test_evaluations_agree(family, solver, arms, drawn):
     for seed in range(4):
@@ -104,6 +102,10 @@ def test_evaluations_agree(family, solver, arms, drawn):
         about = centres_of_seconds(trees, state)
         assert evaluation_errors(solution, evaluation, about) < AGREEMENT, f"seed {seed}"
         assert evaluation.rank == solution.rank
+        assert list(evaluation.object_accelerations) == list(trees.objects)
+        forces = evaluation.contact_forces_unique
+        unique = {name: bool(np.all(forces[name])) for name in solution.unique}
+        assert unique == solution.unique, f"seed {seed}"
 
 
 def test_arms_written_as_robots_are_the_same(drawn):

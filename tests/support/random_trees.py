@@ -536,10 +536,11 @@ def joints_of_objects(rng: np.random.Generator, names: list[str]) -> list[dict[s
         if rng.random() < 0.8:  # else no joint leads to those before it
             pair = [names[int(rng.integers(k))], names[k]]
             rng.shuffle(pair)
-            add(*pair)
             if rng.random() < 0.15:
-                joints[-1] = {**joints[-1], "kind": "weld"}
                 add(*pair, kind="weld")
+                add(*pair, kind="weld")
+            else:
+                add(*pair)
     if len(names) > 2 and rng.random() < 0.5:
         add(names[-1], names[0], most_rows=3)
     if rng.random() < 0.4:

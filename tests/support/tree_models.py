@@ -205,7 +205,10 @@ def _link_frame(model: pin.Model, link: str) -> pin.Frame:
 def _locked_positions(
     model: pin.Model, lock: dict[str, float], mimics: dict[str, Mimic]
 ) -> np.ndarray:
-    """Configuration at which joints are locked: as written, as they follow, else nearest to 0."""
+    """Configuration at which joints are locked: as written, as they follow, else nearest to 0.
+
+    ``mimics`` are those of locked joints.
+    """
     q = pin.neutral(model)
 
     def position(name: str) -> float:
@@ -268,7 +271,8 @@ def read_robot(name: str, spec: dict[str, Any], named_links: set[str]) -> RobotM
     lock, mimics = dict(spec.get("lock", {})), _mimics(path, spec)
     moving = _moving(whole, {*tips.values(), *named_links}, lock, mimics)
     fixed = [i for i in range(2, whole.njoints) if whole.names[i] not in moving]
-    tree = pin.buildReducedModel(whole, fixed, _locked_positions(whole, lock, mimics))
+    fixed_mimics = {follower: m for follower, m in mimics.items() if m.leader not in moving}
+    tree = pin.buildReducedModel(whole, fixed, _locked_positions(whole, lock, fixed_mimics))
     model, carrier, root = _base(spec.get("base") or {})
     numbers = {1: carrier}
     model.appendBodyToJoint(carrier, tree.inertias[1], root)
