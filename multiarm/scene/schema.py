@@ -20,7 +20,6 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
-from pydantic.json_schema import SkipJsonSchema
 from typing_extensions import Self
 
 from multiarm.errors import Fault, SceneError
@@ -42,6 +41,12 @@ from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
 from multiarm.scene.trunks import ArmGroup
 from multiarm.scene.values import ArmName, ObjectName, RobotName, Vec3
+
+
+def _or_left_out(schema: dict[str, Any]) -> None:
+    """A file leaves out a key, and need not say that it is nothing."""
+    table, _nothing = schema.pop("anyOf")
+    schema |= table
 
 
 class Scene(Spec):
@@ -91,8 +96,8 @@ class Scene(Spec):
 
     name: str = "unnamed scene"
     gravity: Vec3 | None = None
-    object: ObjectSpec | SkipJsonSchema[None] = None
-    objects: dict[ObjectName, ObjectSpec] | SkipJsonSchema[None] = None
+    object: ObjectSpec | None = Field(None, json_schema_extra=_or_left_out)
+    objects: dict[ObjectName, ObjectSpec] | None = Field(None, json_schema_extra=_or_left_out)
     arms: dict[ArmName, ArmSpec] = Field(default_factory=dict)
     robots: dict[RobotName, RobotSpec] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...]

@@ -461,7 +461,7 @@ def test_postures_are_found_at_the_objects_that_arms_hold():
     for joint in parse_scene(data, scene.folder).joints:
         pose = np.eye(4)
         pose[:3, 3] = boxes[joint.second.tip]["pose"]["xyz"]
-        tip = found.arms[joint.arm].tip_pose(found.postures[joint.arm], "")
+        tip = found.by_name[joint.arm].tip_pose(found.postures[joint.arm], "")
         np.testing.assert_allclose(tip, pose @ joint.at.matrix(), atol=1e-9)
 
 
