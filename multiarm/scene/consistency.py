@@ -30,7 +30,6 @@ from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
 from multiarm.scene.trunks import ArmGroup, arm_groups, group_faults, group_warnings
-from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -255,11 +254,6 @@ def _check_objects(parts: ValidParts, findings: Findings) -> None:
         if name in nouns:
             text = f"{nouns[name]} is named {name!r} too; give the object another name"
             findings.add_fault(("objects", name), text)
-        floor = floor_owner(name, names)
-        if floor in nouns:
-            text = f"results have the floor's forces on {name!r} there; choose another name"
-            where = "arms" if nouns[floor] == "an arm" else "robots"
-            findings.add_fault((where, floor), text)
 
 
 def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings) -> None:
