@@ -24,9 +24,15 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.integration.projection import project_positions
 from multiarm.scene import Scene, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, retract
+
+
+def _only_motion(state: State) -> FrameMotion:
+    """The motion of the only object."""
+    return next(iter(state.objects.values()))
 
 
 def joint_path(
@@ -50,7 +56,7 @@ def joint_path(
     ControlError
         When the arms cannot follow, or do not move smoothly.
     """
-    times, poses = route(pose_of(start).matrix(), path)
+    times, poses = route(pose_of(_only_motion(start)).matrix(), path)
     if any(joint.kind != "weld" for joint in scene.joints):
         rigid = compile_scene(_rigidly_held(scene, data, start))
         with rigid.borrow() as rigid_data:
@@ -101,7 +107,7 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
     )
     scene.one_object("a path of the object")
     (place,) = map(scene.place_of_object, scene.all_objects)
-    at_rest = {f"{place}.pose": pose_of(start), f"{place}.twist": None}
+    at_rest = {f"{place}.pose": pose_of(_only_motion(start)), f"{place}.twist": None}
     parts = {"joints": joints, "arms": arms, "robots": robots}
     return scene.replace(at_rest, **parts, control={"kind": "none"}, effects={})
 

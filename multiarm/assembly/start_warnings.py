@@ -11,6 +11,7 @@ from multiarm.dynamics.failures import joint_of
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
 from multiarm.scene import JointSpec
+from multiarm.scene.bodies import object_named
 from multiarm.scene.faults import place
 
 # A joint may be off the object's shape by a fingertip [m], beside the surface that it states.
@@ -41,20 +42,28 @@ def _weight_not_carried(system: System) -> list[str]:
     with system.borrow() as data:
         closed = data.closed
         left, size = uncarried_weight(closed, system.initial_state()), scene_size(closed)
-    body = scene.one_object("the weight that contacts carry")
-    weight = body.mass * float(np.linalg.norm(scene.gravity))
-    if np.linalg.norm([*left[:3], *left[3:] / size]) <= UNCARRIED * weight:
-        return []
-    connections = system.model.connections.items()
-    holding = ", ".join(repr(name) for name, pair in connections if pair.on_object)
-    if not holding:
-        return [f"{place(('control',))}: no joint holds the object, and it falls"]
-    return [
-        f"{place(('control',))}: the contacts of {holding} cannot carry all of the object's "
-        f"weight, {number(weight, 'N')}: {numbers(left[:3], 'N')} and {numbers(left[3:], 'N m')} "
-        "about its centre of mass, world axes, are left, and it gives way there; add an arm, or "
-        "join one with fewer free motions (`uncarried_wrench` of an evaluation has what is left)"
-    ]
+    warnings, objects = [], scene.all_objects
+    for (name, body), wrench in zip(objects.items(), left.reshape(-1, 6), strict=True):
+        weight = body.mass * float(np.linalg.norm(scene.gravity))
+        if np.linalg.norm([*wrench[:3], *wrench[3:] / size]) <= UNCARRIED * weight:
+            continue
+        of_object = "the object" if len(objects) == 1 else f"object '{name}'"
+        connections = system.model.connections.values()
+        bodies = object_named(name)
+        holding = [repr(pair.name) for pair in connections if bodies in (pair.first, pair.second)]
+        where = place(("control",))
+        if not holding:
+            warnings.append(f"{where}: no joint holds {of_object}, and it falls")
+            continue
+        weight_of = f"{of_object}'s" if len(objects) == 1 else f"the {of_object}'s"
+        warnings.append(
+            f"{where}: the contacts of {', '.join(holding)} cannot carry all of {weight_of} "
+            f"weight, {number(weight, 'N')}: {numbers(wrench[:3], 'N')} and "
+            f"{numbers(wrench[3:], 'N m')} about its centre of mass, world axes, are left, and it "
+            "gives way there; add an arm, or join one with fewer free motions (`uncarried_wrench` "
+            "of an evaluation has what is left)"
+        )
+    return warnings
 
 
 def _joints_off_the_object(system: System) -> list[str]:

@@ -41,7 +41,6 @@ from multiarm.dynamics.coordinates import block_columns, column_of_state, force_
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import equation_work
 from multiarm.dynamics.forces.compiled import factor_wrench_products, solve_wrench_products
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.references import Reference, References
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
@@ -59,18 +58,18 @@ class CommandDerivatives(NamedTuple):
     # structs of multiarm.dynamics.equation_derivatives
     motion: Ints1
     excess: Ints1
-    twist: Floats1  # (6,) y
-    wrench: Floats2  # (6, S) dw at fixed accelerations of object and arms; then dy
-    acceleration: Floats2  # (6, 12) of the object that is commanded, by its pose and twist
+    twist: Floats1  # (6 F,) y
+    wrench: Floats2  # (6 F, S) dw at fixed accelerations of object and arms; then dy
+    acceleration: Floats2  # (6 F, 12 F) of the objects that are commanded, by poses and twists
     preferred: Floats2  # (d, C) dp of one arm
     desired: Floats2  # (N, S) of the forces with which arms press
     forces: Floats2  # (N, S) of the contacts
     motions: Floats2  # (d + m, C) of one arm: right-hand sides, then dq'' and the multipliers
     pivots: Ints1  # (d + m,)
     # W_o W_o^T
-    products: Floats2  # (6, 6)
-    scale: Floats1  # (6,)
-    product_pivots: Ints1  # (6,)
+    products: Floats2  # (6 F, 6 F)
+    scale: Floats1  # (6 F,)
+    product_pivots: Ints1  # (6 F,)
 
 
 class PreparedDerivatives(References):
@@ -109,23 +108,24 @@ def prepare_command_derivatives(derivative: Kernel, data: Data, work: Any) -> No
     if prepared.function == 0:
         layout, states = data.model.layout, 2 * data.model.layout.nv
         d, m = max(layout.joint_counts), max(layout.contact_counts)
-        width = block_columns(TWIST, d, 0).end
+        node = layout.node
+        width = block_columns(node, d, 0).end
         _, motion = equation_work(data, states)
         _, excess = equation_work(data, states, weights=False)
         arrays = CommandDerivatives(
             motion=motion,
             excess=excess,
-            twist=np.zeros(6),
-            wrench=np.zeros((6, states)),
-            acceleration=np.zeros((6, 12)),
+            twist=np.zeros(node),
+            wrench=np.zeros((node, states)),
+            acceleration=np.zeros((node, 2 * node)),
             preferred=np.zeros((d, width)),
             desired=np.zeros((layout.contacts, states)),
             forces=np.zeros((layout.contacts, states)),
             motions=np.zeros((d + m, width)),
             pivots=np.zeros(d + m, dtype=np.int64),
-            products=np.zeros((6, 6)),
-            scale=np.zeros(6),
-            product_pivots=np.zeros(6, dtype=np.int64),
+            products=np.zeros((node, node)),
+            scale=np.zeros(node),
+            product_pivots=np.zeros(node, dtype=np.int64),
         )
         struct = struct_of(arrays)
         # the data own the work of the equations
@@ -161,7 +161,7 @@ def differentiate_contact_forces(data, work, motion, rest, derivatives):
     size, states = wrench.shape
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_block = block_columns(TWIST, n, 0)
+        of_block = block_columns(size, n, 0)
         for k in range(work.first_contact[i], work.first_contact[i + 1]):
             clear(forces[k])
             for c in range(of_block.rates):
@@ -196,7 +196,7 @@ def add_inverse_dynamics(data, work, motion):
     columns = force_columns(data)
     for i in range(work.first_joint.size - 1):
         d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        of_block = block_columns(TWIST, n, 0)
+        of_block = block_columns(motion.dF_o.shape[0], n, 0)
         for j in range(n):
             slopes = data.slopes.torque[d0 + j]
             for c in range(of_block.end):
@@ -211,7 +211,8 @@ def add_motion_derivatives(data, work, i, motion, excess, derivatives):
         work.first_joint[i + 1] - work.first_joint[i],
         work.first_contact[i],
     )
-    m, of_block, X = work.first_contact[i + 1] - r0, block_columns(TWIST, n, 0), derivatives.motions
+    m, X = work.first_contact[i + 1] - r0, derivatives.motions
+    of_block = block_columns(motion.dF_o.shape[0], n, 0)
     columns, M = force_columns(data), motion.M[i]
     for j in range(n):
         for c in range(of_block.end):

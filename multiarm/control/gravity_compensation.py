@@ -1,9 +1,9 @@
-r"""Gravity compensation: the torques that hold robots and object at rest.
+r"""Gravity compensation: the torques that hold robots and objects at rest.
 
 .. math::
     \tau_i = g_i(q_i) - W_i\lambda_i, \qquad \lambda = W_o^T y, \quad A y = w, \quad A = W_o W_o^T,
 
-with the contact forces of least norm that carry the weight of the object, :math:`w = [-m g; 0]`
+with the contact forces of least norm that carry the weight of the objects, :math:`w = [-m g; 0]`
 (thesis, 3.4 and 3.10 at rest).  Those of a robot's connections with the world, of its inner loops
 and couplings are zero: drives hold the robot.  Where contacts cannot carry all of the weight, as
 those of a single hinge, they carry what is nearest in the sense of least squares; the rest is said
@@ -49,7 +49,6 @@ from multiarm.dynamics.equation_derivatives import open_equations, write_derivat
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import cfunc, clear, copy, inlined, kernel
@@ -78,14 +77,21 @@ def gravity_compensation(address, size, _at, _t):
     """Add the torques, which hold arms and object at rest, to ``data.control.torque``."""
     model, data, work = open_system(struct_at(address, size))
     torque, weight = data.control.torque, data.control.object_wrench
-    for k in range(3):
-        weight[k] = -model.object_masses[0] * model.gravity[k]
-        weight[3 + k] = 0.0
+    clear(weight)
+    add_weights(model, weight)
     static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
     return OK
+
+
+@inlined
+def add_weights(model, wrench):
+    """Add what carries the weight of each object to the wrenches on them (6 F,)."""
+    for o in range(model.object_masses.size):
+        for k in range(3):
+            wrench[6 * o + k] -= model.object_masses[o] * model.gravity[k]
 
 
 @cfunc
@@ -150,7 +156,7 @@ def write_derivatives_at_fixed_multipliers(address, size, at, _t):
             balance[l, c] -= motion.dF_o[l, c]
     for i in range(work.first_joint.size - 1):
         d0, r0 = work.first_joint[i], work.first_contact[i]
-        of_block = block_columns(TWIST, work.first_joint[i + 1] - d0, 0)
+        of_block = block_columns(balance.shape[0], work.first_joint[i + 1] - d0, 0)
         for k in range(r0, work.first_contact[i + 1]):
             for c in range(of_block.rates):
                 if c < of_block.twists or c >= of_block.positions:  # y is no velocity of the state
@@ -223,9 +229,9 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
 
 
 def uncarried_weight(data: Data, start: State) -> np.ndarray:
-    """What the contacts leave of the object's weight at a start, a wrench (6,) [N, N m].
+    """What the contacts leave of the objects' weights at a start, wrenches (6 F,) [N, N m].
 
-    About its centre of mass, world axes.
+    About the centres of mass, world axes.
     """
     holding_torque(data, start)
     return uncarried_wrench(data)

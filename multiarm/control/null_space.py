@@ -110,7 +110,7 @@ def nearest_accelerations(inertia, W, preferred, target, result, multipliers):
 
 @inlined
 def holds_pose(c, i, model, data):
-    """Whether owner ``c`` of rows connects a link of block ``i`` with the object."""
+    """Whether owner ``c`` of rows connects a link of block ``i`` with an object."""
     pairs = model.connections
     moves = pairs.first[c] < data.bodies.links.shape[0]
     return pairs.block[c] == i and moves and object_of(pairs.second[c], data) >= 0
@@ -118,7 +118,7 @@ def holds_pose(c, i, model, data):
 
 @kernel
 def count_held(i, model, data):
-    """Number of connections of block ``i`` with the object."""
+    """Number of connections of block ``i`` with objects."""
     held = 0
     for c in range(model.connections.block.size):
         if holds_pose(c, i, model, data):
@@ -180,11 +180,13 @@ def hold_poses(i, law, command, feedforward, model, data, work):
 def write_pose_target(c, law, acceleration, feedforward, model, data, target):
     """Write the acceleration that the joint frame of connection ``c`` is to have on its link (6,).
 
-    World axes, less that of the link without joint accelerations.  The object has ``acceleration``.
+    World axes, less that of the link without joint accelerations.  The objects have
+    ``acceleration`` (6 F,).
     """
     bodies, frames = data.bodies, open_frames(model.joint_frames[c])
     first, stiffness, rate = model.connections.first[c], law.free_stiffness, law.free_rate
-    link, body = open_body(bodies.motion[first]), open_body(bodies.objects[0])
+    second = model.connections.second[c]
+    link, body = open_body(bodies.motion[first]), open_body(bodies.motion[second])
     rates, places = np.empty(6), np.empty(9)
     write_connection_motion(model, data, c, rates, places)
     R_J = compose(body.rotation, frames.on_object)
@@ -195,7 +197,8 @@ def write_pose_target(c, law, acceleration, feedforward, model, data, target):
     if feedforward:
         m = rotate(link.rotation, frames.origin_on_link)
         j, omega = sub(add(link.origin, m), body.origin), body.spin
-        a_o, alpha_o = vec(acceleration, 0), vec(acceleration, 3)
+        at = 6 * object_of(second, data)
+        a_o, alpha_o = vec(acceleration, at), vec(acceleration, at + 3)
         inner = add_scaled(cross(omega, j), 2.0, shift_rate)
         a = add_cross(add_cross(add(a, a_o), alpha_o, j), omega, inner)
         alpha = add_cross(add(alpha, alpha_o), omega, turn_rate)

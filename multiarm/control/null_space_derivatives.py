@@ -47,10 +47,9 @@ from multiarm.dynamics.equation_derivatives import (
     write_connected_body,
     write_object,
 )
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.factors import factor_lu, solve_rows
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.jit.kernels import allocating, kernel
+from multiarm.jit.kernels import allocating, inlined, kernel
 from multiarm.jit.vectors import (
     add,
     add_cross,
@@ -84,7 +83,8 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
     """
     d0, n = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
     size = n + 6 * count_held(i, model, data)
-    of_block, arm = block_columns(TWIST, n, 0), open_equations(derivatives.excess)
+    arm = open_equations(derivatives.excess)
+    of_block = block_columns(arm.dF_o.shape[0], n, 0)
     M, preferred = open_equations(derivatives.motion).M[i], command.preferred
     K, X = np.zeros((size, size)), np.zeros((size, of_block.end))
     pivots = np.zeros(size, dtype=np.int64)
@@ -94,7 +94,8 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
         for k in range(n):
             K[j, k] = M[j, k]
             X[j, of_block.rates + k] = -law.free_rate * M[j, k]
-    write_object(0, data, AT_REST, AT_REST, arm)
+    for o in range(arm.objects.shape[0]):
+        write_object(o, data, AT_REST, AT_REST, arm)
     subtract_torque_slopes(i, of_block, command, model, data, derivatives, X)
     for j in range(n):
         arm.a_j[d0 + j] = preferred[d0 + j]
@@ -102,7 +103,8 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
         subtract_slopes(i, of_block, 1.0, 0.0, 0.0, model, data, derivatives, X)
     for j in range(n):
         arm.v[d0 + j] = data.state.joint_rates[d0 + j]
-    write_object(0, data, data.state.twists[0], command.acceleration, arm)
+    for o in range(arm.objects.shape[0]):
+        write_object(o, data, data.state.twists[o], command.acceleration[6 * o :], arm)
     of_acceleration = 1.0 if feedforward else 0.0
     subtract_slopes(
         i, of_block, of_acceleration, law.free_rate, law.free_stiffness, model, data, derivatives, X
@@ -124,15 +126,23 @@ def write_links(i, data, derivatives):
     write_motions(links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links)
 
 
-@kernel
-def write_held(i, link, derivatives):
-    """Write the motion of a link that holds the object, and how the object sees it.
+@inlined
+def held_bodies(c, model):
+    """The joint that moves the link of connection ``c``, and the object that it holds."""
+    pairs = model.connections
+    return joint_that_moves(pairs.first[c], model), joint_that_moves(pairs.second[c], model)
 
-    ``link`` is the joint that moves it; after :func:`write_links`.
+
+@kernel
+def write_held(i, link, second, derivatives):
+    """Write the motion of a link that holds an object, and how the object sees it.
+
+    ``link`` is the joint that moves it, ``second`` the object, see ``FIRST_OBJECT``; after
+    :func:`write_links`.
     """
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
     write_connected_body(i, link, links, arm, arm.first_body, arm.first_moved)
-    write_connected_body(i, FIRST_OBJECT, links, arm, arm.second_body, arm.second_moved)
+    write_connected_body(i, second, links, arm, arm.second_body, arm.second_moved)
     seen = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     write_seen_motion(arm.first_body, arm.second_body, seen, arm.scratch[SEEN])
 
@@ -145,10 +155,10 @@ def subtract_torque_slopes(i, of_block, command, model, data, derivatives, X):
     write_links(i, data, derivatives)
     for c in range(model.connections.block.size):
         if holds_pose(c, i, model, data):
-            link = joint_that_moves(model.connections.first[c], model)
-            write_held(i, link, derivatives)
+            bodies = held_bodies(c, model)
+            write_held(i, bodies[0], bodies[1], derivatives)
             frame, multipliers = model.joint_frames[c], command.held[c]
-            subtract_wrench_slopes(i, link, of_block, frame, multipliers, derivatives, X)
+            subtract_wrench_slopes(i, bodies, of_block, frame, multipliers, derivatives, X)
     write_inverse_dynamics(links, i, arm.links, arm.by_q, arm.by_v)
     for j in range(n):
         for k in range(n):
@@ -156,14 +166,14 @@ def subtract_torque_slopes(i, of_block, command, model, data, derivatives, X):
 
 
 @kernel
-def subtract_wrench_slopes(i, link, of_block, frame, multipliers, derivatives, X):
+def subtract_wrench_slopes(i, bodies, of_block, frame, multipliers, derivatives, X):
     """Subtract the derivatives of ``-J^T kappa`` of a link whose wrench stays in the object's axes.
 
     Its change with the link, on which it is a load, is that of the inverse dynamics;
     ``multipliers`` (6,) in world axes.
     """
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    bodies = link, FIRST_OBJECT
+    link = bodies[0]
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
     R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
     force, moment = rotate_back(R_o, vec(multipliers, 0)), rotate_back(R_o, vec(multipliers, 3))
@@ -194,17 +204,17 @@ def subtract_slopes(i, of_block, of_acceleration, rate, stiffness, model, data, 
     write_links(i, data, derivatives)
     for c in range(model.connections.block.size):
         if holds_pose(c, i, model, data):
-            link = joint_that_moves(model.connections.first[c], model)
-            write_held(i, link, derivatives)
+            bodies = held_bodies(c, model)
+            write_held(i, bodies[0], bodies[1], derivatives)
             subtract_slopes_of(
-                link, of_block, model.joint_frames[c], of_acceleration, rate, stiffness,
+                bodies, of_block, model.joint_frames[c], of_acceleration, rate, stiffness,
                 derivatives, X[at : at + 6],
             )  # fmt: skip
             at += 6
 
 
 @allocating
-def subtract_slopes_of(link, of_block, frame, of_acceleration, rate, stiffness, derivatives, X):
+def subtract_slopes_of(bodies, of_block, frame, of_acceleration, rate, stiffness, derivatives, X):
     """Subtract the derivatives of e of one connection from its rows ``X`` (6, C)."""
     arm, frames, turn_rate = (
         open_equations(derivatives.excess), open_frames(frame), np.empty(3)
@@ -221,7 +231,7 @@ def subtract_slopes_of(link, of_block, frame, of_acceleration, rate, stiffness, 
     turned = rotate_back(G, on_arm[0]), rotate_back(G, on_arm[1]), rotate_back(G, on_arm[2])
     theta = rotate(G, rotation_vector(turned))
     relative = motion_relative_to(open_body(arm.first_body), open_body(arm.second_body))
-    bodies = link, FIRST_OBJECT
+    first = 6 * (FIRST_OBJECT - bodies[1])
     for c in range(of_block.end):
         write_column_displacement(bodies, of_block.end, of_block, c, relative, arm)
         dw, dm = displacement.spin, cross(displacement.turn, m)
@@ -231,8 +241,9 @@ def subtract_slopes_of(link, of_block, frame, of_acceleration, rate, stiffness, 
         turn = add_scaled(scale(rate, dw), stiffness, vec(turn_rate, 0))
         a, alpha = displacement.acceleration, displacement.spin_rate
         if c < of_block.positions:  # the acceleration that is commanded to the object changes too
-            a_o = (commanded[0, c], commanded[1, c], commanded[2, c])
-            alpha_o = rotate_back(R_o, (commanded[3, c], commanded[4, c], commanded[5, c]))
+            a_o = (commanded[first, c], commanded[first + 1, c], commanded[first + 2, c])
+            turn_o = commanded[first + 3, c], commanded[first + 4, c], commanded[first + 5, c]
+            alpha_o = rotate_back(R_o, turn_o)
             a = sub(a, add_cross(rotate_back(R_o, a_o), alpha_o, seen.origin))
             alpha = sub(alpha, alpha_o)
         a = add_cross(add_cross(a, alpha, m), w_rate, dm)
@@ -252,7 +263,8 @@ def write_jacobians(i, n, model, data, derivatives, K):
     for c in range(model.connections.block.size):
         if not holds_pose(c, i, model, data):
             continue
-        write_held(i, joint_that_moves(model.connections.first[c], model), derivatives)
+        bodies = held_bodies(c, model)
+        write_held(i, bodies[0], bodies[1], derivatives)
         R_o, R = open_body(arm.second_body).rotation, open_body(arm.scratch[SEEN]).rotation
         m = rotate(R, open_frames(model.joint_frames[c]).origin_on_link)
         for j in range(n):

@@ -18,7 +18,7 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
   turns, an elbow that floats) at the rate :math:`\delta`.
 
 * *Object impedance* holds the object by a spring and a damper, without changing the inertia of
-  object and arms: :math:`w = K e + D(v_r - v_o) - m g`,
+  object and robots: :math:`w = K e + D(v_r - v_o) - m g`, of other objects :math:`w = -m g`,
   :math:`\tau_i = g_i - W_i\lambda_i - \delta M_i P_i\dot q_i` with :math:`P_i` the projection on
   the robot's free motions.  The spring has the energy :math:`\tfrac12 e^T K e` also for large
   rotations and with a different stiffness about each axis, so that the law is passive while its
@@ -39,6 +39,7 @@ import numpy as np
 
 from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
+from multiarm.control.gravity_compensation import add_weights
 from multiarm.control.null_space import hold_poses, nearest_accelerations
 from multiarm.control.object_derivatives import (
     differentiate_command,
@@ -58,7 +59,7 @@ from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
 from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import cfunc, kernel
+from multiarm.jit.kernels import cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import sub, vec
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
@@ -100,9 +101,10 @@ def object_impedance(address, size, at, t):
     model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
     state, control, wrench = data.state, data.control, data.control.object_wrench
-    write_spring_wrench(t, law, state.poses[0], state.twists[0], wrench)
-    for k in range(3):
-        wrench[k] -= model.object_masses[0] * model.gravity[k]
+    o = law.object
+    clear(wrench)
+    write_spring_wrench(t, law, state.poses[o], state.twists[o], wrench[6 * o : 6 * o + 6])
+    add_weights(model, wrench)
     write_contact_forces(law, data)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
@@ -226,13 +228,16 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     data, start = context.data, context.start
     data.set_state(0.0, start)
     require_ok(data, update_kinematics(data.struct))
-    W_o = data.arrays.rows.W_o.copy()
-    _require_hold(W_o, control.kind)
+    W_o, objects = data.arrays.rows.W_o.copy(), data.model.layout.objects
+    name = getattr(control, "object", None) or objects[0]
+    moved = objects.index(name)
+    _require_hold(W_o, moved, control.kind)
     desired = desired_forces(data, control, W_o)
-    pose = pose_of(start)
+    pose = pose_of(start.objects[name])
     at_rest = Waypoint(time=1.0, **pose.model_dump())
     path = pose_path(*route(pose.matrix(), control.path or (at_rest,)))
     return ObjectLaw(
+        moved,
         control.stiffness.vector(),
         control.damping.vector(),
         control.relative_damping,
@@ -243,9 +248,13 @@ def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
     )
 
 
-def _require_hold(W_o: np.ndarray, kind: str) -> None:
-    lever = max(float(np.max(np.linalg.norm(W_o[:, 3:], axis=1))), 1e-12)
-    rank = null_space(W_o / np.array([1.0, 1.0, 1.0, lever, lever, lever])).rank
+def _require_hold(W_o: np.ndarray, moved: int, kind: str) -> None:
+    """Refuse contacts that cannot put every wrench on the object that is ``moved``."""
+    moments = W_o.reshape(len(W_o), -1, 6)[:, :, 3:]
+    lever = max(float(np.max(np.linalg.norm(moments, axis=2), initial=0.0)), 1e-12)
+    scale = np.tile([1.0, 1.0, 1.0, lever, lever, lever], W_o.shape[1] // 6)
+    loose = null_space(W_o / scale).basis[6 * moved : 6 * moved + 6]
+    rank = 6 - int(np.linalg.matrix_rank(loose, 1e-6)) if loose.size else 6
     if rank < 6:
         raise ControlError(
             f"control: {kind} needs contacts that can put every force and moment on the object, "

@@ -125,7 +125,7 @@ def differentiate_torques(law, command, feedforward, struct, model, data, work, 
         n = work.first_joint[i + 1] - work.first_joint[i]
         if n == 0:  # the surroundings
             continue
-        rates = block_columns(TWIST, n, 0).rates
+        rates = block_columns(motion.dF_o.shape[0], n, 0).rates
         for j in range(n):
             clear(derivatives.preferred[j])
             derivatives.preferred[j, rates + j] = -law.free_rate
@@ -244,22 +244,24 @@ def differentiate_spring_wrench(t, law, data, wrench):
     """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
     twists = force_columns(data).twists
     _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.state.poses[0][3:7], quaternion), np.empty((3, 3))
+    first, quaternion_now = 6 * law.object, data.state.poses[law.object][3:7]
+    turned, by_turn = rotation_between(quaternion_now, quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     for k in range(3):
         pull[k] = law.stiffness[3 + k] * turned[k]
-        wrench[k, k], wrench[k, twists + k] = -law.stiffness[k], -law.damping[k]
-        wrench[3 + k, twists + 3 + k] = -law.damping[3 + k]
+        row, turn = first + k, first + 3 + k
+        wrench[row, row], wrench[row, twists + row] = -law.stiffness[k], -law.damping[k]
+        wrench[turn, twists + turn] = -law.damping[3 + k]
     write_chart_rate_slopes(turned, pull, slopes)
     for axis in range(3):
         for k in range(3):
             change[k] = law.stiffness[3 + k] * by_turn[axis, k]
         write_chart_rate(turned, change, of_change)
         for r in range(3):
-            wrench[3 + r, 3 + axis] = of_change[r]
+            wrench[first + 3 + r, first + 3 + axis] = of_change[r]
             for k in range(3):
-                wrench[3 + r, 3 + axis] += slopes[k, r] * by_turn[axis, k]
+                wrench[first + 3 + r, first + 3 + axis] += slopes[k, r] * by_turn[axis, k]
 
 
 @kernel

@@ -9,7 +9,7 @@ import numpy as np
 from multiarm.control.command_derivatives import PreparedDerivatives
 from multiarm.dynamics.control_laws import view_of_law, view_of_work
 from multiarm.dynamics.data import Data
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Numbers
+from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Numbers
 
 
 class ObjectLaw(NamedTuple):
@@ -19,6 +19,7 @@ class ObjectLaw(NamedTuple):
     N m/rad and N s/m, N m s/rad.
     """
 
+    object: Int  # the one that is moved
     stiffness: Floats1  # (6,) for shifts and turns, world axes
     damping: Floats1  # (6,)
     free_rate: Float  # of the arms' free motions [1/s]
@@ -44,7 +45,7 @@ class JointTargets(Numbers):
 class ObjectCommand(NamedTuple):
     """What a law commands, and what its derivative needs."""
 
-    acceleration: Floats1  # (6,) of the object; of an impedance zero
+    acceleration: Floats1  # (6 F,) of the objects; of an impedance zero
     preferred: Floats1  # (n,) joint accelerations of the free motions
     a_j: Floats1  # (n,) the nearest ones that the joints allow
     target: Floats1  # (N,) of these: W^T q''
@@ -59,7 +60,7 @@ class ObjectCommand(NamedTuple):
         """Allocate for some data."""
         joints, contacts = data.model.layout.rate_count, data.model.layout.contacts
         return cls(
-            acceleration=np.zeros(6),
+            acceleration=np.zeros(data.model.layout.node),
             preferred=np.zeros(joints),
             a_j=np.zeros(joints),
             target=np.zeros(contacts),

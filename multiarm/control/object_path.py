@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.piecewise import segment_at
-from multiarm.dynamics.state import State
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.jit.kernels import kernel, plain
 from multiarm.jit.structs import Floats1, Floats2
 from multiarm.jit.vectors import add_scaled, scale, vec
@@ -47,11 +47,9 @@ def pose_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> PosePath:
     )
 
 
-def pose_of(state: State) -> Pose:
-    """Pose of the object in a state."""
-    return Pose(
-        xyz=state.object_position.tolist(), quaternion_xyzw=state.object_quaternion_xyzw.tolist()
-    )
+def pose_of(motion: FrameMotion) -> Pose:
+    """Pose of an object in a state."""
+    return Pose(xyz=motion.position.tolist(), quaternion_xyzw=motion.quaternion_xyzw.tolist())
 
 
 def route(start: np.ndarray, path: Sequence[Waypoint]) -> tuple[list[float], list[np.ndarray]]:

@@ -151,7 +151,7 @@ class ForceColumns(NamedTuple):
     rates: int
     states: int  # of effects
     time: int
-    multipliers: int  # of a law, six, see multiarm.dynamics.control_laws
+    multipliers: int  # of a law, six an object, see multiarm.dynamics.control_laws
     end: int
 
 
@@ -168,7 +168,8 @@ def columns_of_forces(velocities, joints, states):
     """The columns for numbers of velocities, joints among them, and states of effects."""
     twists, positions, rates, first_state = columns_of_state(velocities, joints)
     time = first_state + states
-    return ForceColumns(twists, positions, rates, first_state, time, time + 1, time + 7)
+    end = time + 1 + velocities - joints
+    return ForceColumns(twists, positions, rates, first_state, time, time + 1, end)
 
 
 class BlockColumns(NamedTuple):

@@ -203,7 +203,7 @@ class ForceSlopes(NamedTuple):
     passive: Floats2  # of what passive effects do to the joints; as many rows, or none
     # (velocities + states, columns) of the forces of one effect, and the rates of its states
     force: Floats2
-    balance: Floats2  # (6, columns) of the wrench balance that determines a law's multipliers
+    balance: Floats2  # (6 F, columns) of the wrench balance that determines a law's multipliers
 
 
 class InterpolationNumbers(Numbers):
@@ -418,7 +418,7 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
             torque=np.zeros((joints, columns)),
             passive=np.zeros((joints if sizes.passive else 0, columns)),
             force=np.zeros((layout.nv + states, columns)),
-            balance=np.zeros((6, columns)),
+            balance=np.zeros((layout.node, columns)),
         ),
         interpolation=Interpolation(
             numbers=InterpolationNumbers(),

@@ -6,7 +6,7 @@ A kind is one class: its parameters, its checks, and what people read about it. 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
@@ -22,7 +22,7 @@ from pydantic import (
 from typing_extensions import Self
 
 from multiarm.scene.code import UserFunction
-from multiarm.scene.faults import Faults, below, invalid, shown, unknown
+from multiarm.scene.faults import Faults, below, invalid, listed, shown, unknown
 from multiarm.scene.joint_values import (
     Gain,
     KnownRobots,
@@ -49,15 +49,15 @@ class ControlKind(UserKind):
     by_joint : tuple of str
         Fields with values by arm and joint, which are checked against the arms.
     of_one_object : bool
-        Whether it drives the object, and so the only one of a scene.
-    carries_by : str
-        The key by which its torques carry the weight, where it has one.
+        Whether it is for scenes with one object.
+    moves_object : bool
+        Whether it moves the object that it names.
     """
 
     class_sort = "control"
     by_joint: ClassVar[tuple[str, ...]] = ()
     of_one_object: ClassVar[bool] = False
-    carries_by: ClassVar[str] = "kind"
+    moves_object: ClassVar[bool] = False
 
     kind: str
 
@@ -89,16 +89,15 @@ class ControlKind(UserKind):
         tail = "is for scenes with one object; with several, "
         kind = f"control kind {self.kind!r} {tail}"
         if self.of_one_object:
-            return [(("kind",), f"{kind}drive the joints, as 'joint_pd' or a function does")]
-        faults: Faults = []
-        if self.object_waypoints:
-            faults.append((("path",), f"a path {tail}leave it out, or use kind 'recorded'"))
-        if self.carries and self.carries_by == "kind":
-            faults.append((("kind",), f"{kind}use a function, which returns such torques"))
-        elif self.carries:
-            text = f"carrying the weight {tail}write '{self.carries_by}: false'"
-            faults.append(((self.carries_by,), text))
-        return faults
+            text = f"{kind}use 'object_impedance', or drive the joints, as 'joint_pd' does"
+            return [(("kind",), text)]
+        if self.object_waypoints and not self.moves_object:
+            return [(("path",), f"a path {tail}leave it out, or use kind 'object_impedance'")]
+        return []
+
+    def faults_of_object(self, _objects: Sequence[str]) -> Faults:
+        """What is wrong with the object that it names, one of some."""
+        return []
 
     @classmethod
     def sample(cls) -> Self:
@@ -210,7 +209,6 @@ control:
   damping: 200      # [N m s/rad]
   path: [{time: 2.5, xyz: [0, 0, 0.65]}]   # where the object goes"""
     by_joint = ("stiffness", "damping")
-    carries_by = "gravity_compensation"
 
     kind: Literal["joint_pd"] = "joint_pd"
     stiffness: Gain
@@ -244,7 +242,6 @@ control:
   amplitude: {left: 20}   # [N m], of every joint of this arm
   frequency: 0.5          # [Hz]"""
     by_joint = ("amplitude", "phase", "offset")
-    carries_by = "hold"
 
     kind: Literal["harmonic"] = "harmonic"
     amplitude: PerArm
@@ -273,7 +270,6 @@ control:
   kind: recorded
   file: swing.csv   # columns: time [s], left/elbow_joint [N m], ..."""
     by_joint = ("stiffness", "damping")
-    carries_by = "gravity_compensation"
 
     kind: Literal["recorded"] = "recorded"
     file: FilePath
@@ -419,7 +415,7 @@ ContactForces = Annotated[
 class _ObjectControl(SampledControl):
     """Keys of both control laws."""
 
-    of_one_object = True
+    moves_object = True
 
     path: ObjectPath = None
     relative_damping: NonNegative = 10.0
@@ -463,6 +459,7 @@ class ComputedTorqueControl(_ObjectControl):
         the start pose. Absent: the object is held where it is.
     """
 
+    of_one_object = True
     picture = "an exact model drives the object along its path, whatever arms and object weigh"
     example = """
 control:
@@ -484,10 +481,12 @@ control:
 
 
 class ObjectImpedanceControl(_ObjectControl):
-    """The object on a spring and a damper; arms and object carry their own weight.
+    """An object on a spring and a damper; robots and objects carry their own weight.
 
     Attributes
     ----------
+    object : str, optional
+        The one that the spring pulls, where there are several.
     path : list of Waypoint, optional
         Where the spring pulls to. A path that does not begin at time 0 begins with the start
         pose. Absent: the start pose.
@@ -501,6 +500,7 @@ control:
   damping: {translation: 400, rotation: 40}       # [N s/m], [N m s/rad]"""
 
     kind: Literal["object_impedance"] = "object_impedance"
+    object: str | None = None
     stiffness: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N/m], rotation: [N m/rad]}, each a number or 3 for world axes."""
     damping: Annotated[ObjectGain, _TABLE]
@@ -510,6 +510,18 @@ control:
     def compensates_gravity(self) -> bool:
         """Always: the spring would give way under the weight."""
         return True
+
+    def faults_of_object(self, objects: Sequence[str]) -> Faults:
+        """An object that is not there, or not named among several; a squeeze among several."""
+        if self.object is None and len(objects) > 1:
+            text = f"which one does the spring pull? Write 'object: ...', of {listed(objects)}"
+            return [(("object",), text)]
+        if self.object is not None and self.object not in objects:
+            return [(("object",), unknown("object", self.object, objects))]
+        keys = [key for key in ("squeeze", "internal_forces") if getattr(self, key)]
+        if keys and len(objects) > 1:
+            return [((keys[0],), "is for scenes with one object; leave it out")]
+        return []
 
 
 # --- all kinds ------------------------------------------------------------------------------------

@@ -1,21 +1,19 @@
-r"""Distribution of a wrench over the contacts: forces of least norm, and internal forces.
+r"""Distribution of wrenches over the contacts: forces of least norm, and internal forces.
 
-The contact forces that put a desired wrench ``w`` on the object are (thesis, 3.4)
+The contact forces that put desired wrenches ``w`` on the objects are (thesis, 3.4)
 
 .. math:: \lambda = W_o^+ w + (1 - W_o^+ W_o)\,\lambda_s
 
 the forces of least norm, plus the internal part of desired forces :math:`\lambda_s`, which does not
-move the object.  Both come from one solution, :math:`\lambda = \lambda_s + W_o^+ (w - W_o
+move the objects.  Both come from one solution, :math:`\lambda = \lambda_s + W_o^+ (w - W_o
 \lambda_s)`.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_semidefinite
+from multiarm.dynamics.solver.factors import factor_lu, norm, solve_lu, solve_semidefinite
 from multiarm.jit.kernels import allocating, copy, inlined, kernel
 
 # Contacts that carry wrenches in some direction by so much less than in others leave the forces of
@@ -27,17 +25,18 @@ SHORTEST_LEVER = 1e-6
 
 @kernel
 def write_wrench_products(W_o, A, scale):
-    """Write ``W_o W_o^T`` into ``A[:6, :6]``, its rows and columns times ``scale`` (6,), written.
+    """Write ``W_o W_o^T`` into ``A`` (6 F, 6 F), its rows and columns times ``scale``, written.
 
     Moments are divided by the longest lever arm, so that all rows are forces.
     """
     longest = SHORTEST_LEVER
     for k in range(W_o.shape[0]):
-        longest = max(longest, math.sqrt(W_o[k, 3] ** 2 + W_o[k, 4] ** 2 + W_o[k, 5] ** 2))
-    for i in range(6):
-        scale[i] = 1.0 if i < 3 else 1.0 / longest
-    for i in range(6):
-        for j in range(6):
+        for turn in range(3, W_o.shape[1], 6):
+            longest = max(longest, norm(W_o[k, turn : turn + 3], 3))
+    for i in range(scale.size):
+        scale[i] = 1.0 if i % 6 < 3 else 1.0 / longest
+    for i in range(scale.size):
+        for j in range(scale.size):
             A[i, j] = 0.0
             for k in range(W_o.shape[0]):
                 A[i, j] += W_o[k, i] * W_o[k, j]
@@ -48,16 +47,16 @@ def write_wrench_products(W_o, A, scale):
 def factor_wrench_products(W_o, A, scale, pivots):
     """Write the factors of :func:`write_wrench_products`; returns whether any wrench is carried."""
     write_wrench_products(W_o, A, scale)
-    return factor_lu(A, 6, pivots) > CARRIED
+    return factor_lu(A, scale.size, pivots) > CARRIED
 
 
 @inlined
 def solve_wrench_products(A, scale, pivots, x):
-    """Solve ``W_o W_o^T x = b`` with these factors; ``x`` (6,) is ``b`` on entry."""
-    for i in range(6):
+    """Solve ``W_o W_o^T x = b`` with these factors; ``x`` (6 F,) is ``b`` on entry."""
+    for i in range(x.size):
         x[i] *= scale[i]
-    solve_lu(A, 6, pivots, x)
-    for i in range(6):
+    solve_lu(A, x.size, pivots, x)
+    for i in range(x.size):
         x[i] *= scale[i]
 
 
@@ -65,27 +64,28 @@ def solve_wrench_products(A, scale, pivots, x):
 def static_forces(W_o, weight, force):
     r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
 
-    ``W_o`` (N, 6) has one row a contact, ``weight`` is a wrench (6,).  The solution is exact when
-    the contacts can carry the wrench, else that of least squares, with moments over the longest
-    lever arm.
+    ``W_o`` (N, 6 F) has one row a contact, ``weight`` are the wrenches (6 F,).  The solution is
+    exact when the contacts can carry them, else that of least squares, with moments over the
+    longest lever arm.
     """
-    y = np.empty(6)
+    y = np.empty(weight.size)
     write_multipliers(W_o, weight, y)
     for k in range(W_o.shape[0]):
         force[k] = 0.0
-        for i in range(6):
+        for i in range(y.size):
             force[k] += W_o[k, i] * y[i]
 
 
 @allocating
 def write_multipliers(W_o, wrench, y):
-    """Write the multipliers ``y`` of these forces :math:`W_o^T y` for a wrench (6,)."""
-    A, b, scale = np.empty((6, 6)), np.empty(6), np.empty(6)
+    """Write the multipliers ``y`` of these forces :math:`W_o^T y` for wrenches (6 F,)."""
+    node = wrench.size
+    A, b, scale = np.empty((node, node)), np.empty(node), np.empty(node)
     write_wrench_products(W_o, A, scale)
-    for i in range(6):
+    for i in range(node):
         b[i] = scale[i] * wrench[i]
     solve_semidefinite(A, b, y)
-    for i in range(6):
+    for i in range(node):
         y[i] *= scale[i]
 
 
@@ -104,7 +104,7 @@ def pressing_wrench(rotation, on_object, world):
 
 @allocating
 def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_connections, force):
-    r"""Write the contact forces that put ``wrench`` on the object, with internal forces.
+    r"""Write the contact forces that put ``wrench`` on one object, with internal forces.
 
     Parameters
     ----------
