@@ -50,6 +50,8 @@ def desired_forces(
     """
     model, of_contacts = data.model, _named_forces(data.model, control.internal_forces or {})
     of_connections = np.zeros((len(model.layout.owners), 6))
+    if not (control.squeeze or control.internal_forces):
+        return DesiredForces(of_contacts, of_connections)
     moving = np.linalg.norm(decompose(W_o.T, of_contacts).moving)
     if np.any(of_contacts) and moving > (1.0 - 1e-6) * np.linalg.norm(of_contacts):
         raise ControlError(
