@@ -23,7 +23,7 @@ which are :math:`Y, G, Z` without the square roots of the pivots: a root takes a
 products.  Back substitution gives accelerations and forces.
 
 A table has one row for each joint and each contact, and one for the solution.  Its columns are the
-joints, the contacts, the right-hand side, and the object's six directions.  Its packs follow each
+joints, the contacts, the right-hand side, and the node's 6 F directions.  Its packs follow each
 other row by row, and a row stands for the packs from its first one on.  Blocks with fewer joints or
 contacts than others of their group are padded by decoupled joints of inertia 1, and by contacts of
 enormous mobility without force.  Padding changes no number of the block.
@@ -59,12 +59,14 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force, node=
     ----------
     work : NodeWork
         With the blocks' inertias ``M`` and their ``W``.
-    W_o : (N, 6), object_inertia : (6, 6)
-        The object's rows, blocks stacked, and its inertia; world axes.
-    f_o : (6,), f_j : (sum of joints,), c : (N,)
+    W_o : (N, 6 F), object_inertia : (6 F, 6 F)
+        The objects' rows, blocks stacked, and its inertia; world axes.
+    f_o : (6 F,), f_j : (sum of joints,), c : (N,)
         Right-hand sides, blocks stacked.
-    a_o : (6,), a_j : (sum of joints,), force : (N,), written
-        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    a_o : (6 F,), a_j : (sum of joints,), force : (N,), written
+        Objects' and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    node : int
+        Unknowns of the node, 6 F; a constant for one object, whose loops are unrolled.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-r"""The node algorithm: the object's acceleration first, then each block on its own.
+r"""The node algorithm: the objects' accelerations first, then each block on its own.
 
 In the thesis a block is an arm; here it is a part of a robot that shares neither inertia nor rows
 with others (:mod:`multiarm.dynamics.layout`).  The system (thesis, 4.9; :math:`\lambda = -\mu` is
@@ -23,7 +23,10 @@ is the *elimination*, which depends on the configuration only, and
     \lambda_i = G_i^{-T}(z_i - Z_i a_o), \quad a_i = L_i^{-T}(y_i + Y_i \lambda_i)
 
 the *solution* for one right-hand side: accelerations, velocity projections and position corrections
-alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of blocks; ``S`` stays 6 by 6.
+alike (thesis, 4.10 - 4.12).  The work grows linearly with the number of blocks; ``S`` is 6 F by 6 F
+for the F objects.  Rows among objects, or between an object and the world, belong to a block
+without joints, whose K is zero: they are solved together with the node, as those of singular blocks
+are.
 
 It exists when every ``K_i`` is regular: each block can move along all of its constraint directions.
 Two numbers measure the distance from a singular ``K_i``: its smallest pivot relative to its
@@ -119,13 +122,13 @@ class NodeWork(NamedTuple):
     # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
     pivot: Floats1
     status: NodeStatus
-    # of an elimination block by block (n, d, d), (n, d, m), (n, m, m), (n, m, 6); lower triangles,
+    # of an elimination block by block (n, d, d), (n, d, m), (n, m, m), (n, m, 6 F); lower triangles,
     # diagonals inverted
     L: Floats3
     Y: Floats3
     G: Floats3
     Z: Floats3
-    S: Floats2  # (6, 6) factor of the node matrix, lower triangle, diagonal inverted
+    S: Floats2  # (6 F, 6 F) factor of the node matrix, lower triangle, diagonal inverted
     # (all joints,), (all contacts,): intermediate vectors of a solution block by block
     y: Floats1
     z: Floats1
@@ -334,7 +337,7 @@ def eliminate_block(i, work, W_o):
     """Factor block ``i``, and write its ``NodeWork.pivot``; returns a status.
 
     ``work.M[i]`` is the block's inertia (lower triangle), ``work.W[i]`` its ``W`` (one column a
-    contact) and ``W_o`` (N, 6) the object's rows.
+    contact) and ``W_o`` (N, 6 F) the objects' rows.
     """
     n, first, m = joint_count(i, work), work.first_contact[i], contact_count(i, work)
     L, Y, G, Z = work.L[i], work.Y[i], work.G[i], work.Z[i]

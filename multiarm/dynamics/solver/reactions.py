@@ -109,10 +109,10 @@ class ReactionWork(NamedTuple):
     K_pivots: Ints2
     block_scale: Floats1
     block_scale_r: Floats1
-    # (6, 6): factors of the object's inertia and of the node matrix without friction
+    # (6 F, 6 F): factors of the objects' inertia and of the node matrix without friction
     Lo: Floats2
     Ls: Floats2
-    # (6, 6), (6,): LU factors of Ls^-1 S Ls^-T
+    # (6 F, 6 F), (6 F,): LU factors of Ls^-1 S Ls^-T
     node: Floats2
     node_pivots: Ints1
     coupled: Ints1  # (n,) which blocks are coupled
@@ -120,13 +120,13 @@ class ReactionWork(NamedTuple):
     # (n + 1,): distance of each K from a singular matrix, with and without friction; last of the
     # node's
     pivot: Floats1
-    whitened: Floats2  # (6, 6) scratch: the same in units of the object's inertia
+    whitened: Floats2  # (6 F, 6 F) scratch: the same in units of the object's inertia
     status: ReactionStatus
     place: Ints1  # (N,) row of each coupled contact in the stacked vectors
     # (N,): scales of the columns of G and G~
     scale: Floats1
     scale_r: Floats1
-    # (N, 6 + D), (N, N), (N,): decompositions of G and G~, one vector a row
+    # (N, 6 F + D), (N, N), (N,): decompositions of G and G~, one vector a row
     U: Floats2
     Ur: Floats2
     V: Floats2
@@ -140,7 +140,7 @@ class ReactionWork(NamedTuple):
     core_left_V: Floats2
     core_sigma: Floats1
     core_left_sigma: Floats1
-    # (N, N + 6): contact forces without effect on the constraints, with the object's motion that
+    # (N, N + 6 F): contact forces without effect on the constraints, with the object's motion that
     # they cause; combinations of constraints that no contact force affects
     null_force: Floats2
     null_constraint: Floats2
@@ -150,9 +150,9 @@ class ReactionWork(NamedTuple):
     # (N,): intermediate vectors
     left: Floats1
     right: Floats1
-    unloaded: Floats1  # (6,) the object's acceleration without contacts
+    unloaded: Floats1  # (6 F,) the objects' accelerations without contacts
     without_friction: Floats2  # (m, m) factor of ``Y^T Y`` of a block
-    # scratch (6,), (m,), (m, 6)
+    # scratch (6 F,), (m,), (m, 6 F)
     node_vector: Floats1
     block_vector: Floats1
     block_rows: Floats2
@@ -203,7 +203,7 @@ def eliminate_with_reactions(work, W_o, Wr_o, object_inertia, couple_all=False):
     With ``couple_all`` every block is solved together with the object, whatever its pivots are.
 
     ``work.M[i]`` are the blocks' inertias (lower triangles), ``work.W[i]`` and ``work.Wr[i]`` their
-    ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6) the object's rows.
+    ``W`` and ``W~`` (one column a contact), ``W_o`` and ``Wr_o`` (N, 6 F) the objects' rows.
     """
     n, node = work.coupled.size, work.Lo.shape[0]
     copy_lower(object_inertia, node, work.Lo)
@@ -347,7 +347,7 @@ def whiten(S, L):
 
 @inlined
 def solve_object_rows(i, work, W_o, C):
-    """Write ``K^-1 W_o^T`` of one block, (m, 6)."""
+    """Write ``K^-1 W_o^T`` of one block, (m, 6 F)."""
     first, m, u = work.first_contact[i], contact_count(i, work), work.block_vector
     for k in range(W_o.shape[1]):
         for a in range(m):
@@ -374,11 +374,11 @@ def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
 
     Parameters
     ----------
-    W_o, Wr_o : (N, 6)
-        The object's rows, as in :func:`eliminate_with_reactions`.
-    f_o : (6,), f_j : (D,), c : (N,)
+    W_o, Wr_o : (N, 6 F)
+        The objects' rows, as in :func:`eliminate_with_reactions`.
+    f_o : (6 F,), f_j : (D,), c : (N,)
         Right-hand sides, blocks stacked.
-    a_o : (6,), a_j : (D,), force : (N,), written
+    a_o : (6 F,), a_j : (D,), force : (N,), written
         Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
     unconstrained_motions(work, W_o, f_o, f_j, c)

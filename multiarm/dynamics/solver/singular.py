@@ -17,20 +17,20 @@ as it can.  The second factor is for blocks whose joints all move along their co
 ``sigma`` is a rounding error then, and these are large relative to each other.
 
 The other directions, along which the block can hardly move or not at all, remain as unknown forces
-of one *coupled system* with the object; with :math:`C = W_o v` and the node matrix
+of one *coupled system* with the objects; with :math:`C = W_o v` and the node matrix
 :math:`S = L_S L_S^T` of all eliminated directions,
 
 .. math::
     \big(C^T S^{-1} C + \mathrm{diag}(\sigma^2)\big)\,\lambda = B^T B\,\lambda = d, \qquad
     B = \begin{bmatrix} L_S^{-1} C \\ \mathrm{diag}(\sigma) \end{bmatrix}.
 
-Directions with :math:`\sigma = 0` bind the object alone: they add a column to ``B`` and no row, so
+Directions with :math:`\sigma = 0` bind objects alone, as rows among objects do: they add a column to ``B`` and no row, so
 that the cost stays linear in the number of blocks.  Nothing is regularised: a small ``sigma``
 enters as it is, and the result is continuous with that of the regular path.
 
 *Rank.*  Some combinations of these forces may move neither the object nor a block (dependent
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
-with the object measured in unit directions and lever arms, each block by its own ``sigma_best``:
+with objects measured in unit directions and lever arms, each block by its own ``sigma_best``:
 combinations that move less than ``COUPLED_RANK_TOLERANCE`` of these have no force (or more, at a
 state with gaps: constraints may depend on each other only where they are closed).  Since the
 directions are orthonormal combinations of the contacts, the contact forces have the least norm in
@@ -102,15 +102,15 @@ class CoupledWork(NamedTuple):
     deficient: Ints1  # (n,) 1 for the blocks that are not eliminated as a whole
     scale: Floats1  # (n,) sigma_best of each deficient block
     split: Floats1  # (n,) smallest sigma that is eliminated
-    inertia: Floats2  # (6, 6) Cholesky factor of the object's own inertia
-    wrench: Floats1  # (6,) of a contact on the object, over that factor
+    inertia: Floats2  # (6 F, 6 F) Cholesky factor of the objects' own inertia
+    wrench: Floats1  # (6 F,) of a contact on the objects, over that factor
     # (N,): block of every unknown, and which of the block's directions it is along
     block: Ints1
     direction: Ints1
-    # (N, 6): wrench of every unknown on the object, and L_S^-1 times it
+    # (N, 6 F): wrench of every unknown on the objects, and L_S^-1 times it
     C: Floats2
     B: Floats2
-    # (6 + N, N), (6 + N, 6 + N): orthonormal combinations of unknowns outside the null space, and
+    # (6 F + N, N), (6 F + N, 6 F + N): orthonormal combinations of unknowns outside the null space, and
     # B times these
     basis: Floats2
     images: Floats2
