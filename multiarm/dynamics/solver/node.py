@@ -122,8 +122,8 @@ class NodeWork(NamedTuple):
     # (n + 1,): distance of each K, and last of S, from a singular matrix (1 at best, 0 at worst)
     pivot: Floats1
     status: NodeStatus
-    # of an elimination block by block (n, d, d), (n, d, m), (n, m, m), (n, m, 6 F); lower triangles,
-    # diagonals inverted
+    # of an elimination block by block (n, d, d), (n, d, m), (n, m, m), (n, m, 6 F); lower
+    # triangles, diagonals inverted
     L: Floats3
     Y: Floats3
     G: Floats3

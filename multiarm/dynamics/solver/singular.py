@@ -24,9 +24,9 @@ of one *coupled system* with the objects; with :math:`C = W_o v` and the node ma
     \big(C^T S^{-1} C + \mathrm{diag}(\sigma^2)\big)\,\lambda = B^T B\,\lambda = d, \qquad
     B = \begin{bmatrix} L_S^{-1} C \\ \mathrm{diag}(\sigma) \end{bmatrix}.
 
-Directions with :math:`\sigma = 0` bind objects alone, as rows among objects do: they add a column to ``B`` and no row, so
-that the cost stays linear in the number of blocks.  Nothing is regularised: a small ``sigma``
-enters as it is, and the result is continuous with that of the regular path.
+Directions with :math:`\sigma = 0` bind objects alone, as rows among objects do: they add a column
+to ``B`` and no row, so that the cost stays linear in the number of blocks.  Nothing is regularised:
+a small ``sigma`` enters as it is, and the result is continuous with that of the regular path.
 
 *Rank.*  Some combinations of these forces may move neither the object nor a block (dependent
 contacts, redundant loops).  Rank is a question of geometry, not of masses.  So it is that of ``B``
@@ -110,8 +110,8 @@ class CoupledWork(NamedTuple):
     # (N, 6 F): wrench of every unknown on the objects, and L_S^-1 times it
     C: Floats2
     B: Floats2
-    # (6 F + N, N), (6 F + N, 6 F + N): orthonormal combinations of unknowns outside the null space, and
-    # B times these
+    # (6 F + N, N), (6 F + N, 6 F + N): orthonormal combinations of unknowns outside the null
+    # space, and B times these
     basis: Floats2
     images: Floats2
     z: Floats1  # (N,) as in NodeWork, by the directions v of the deficient blocks
