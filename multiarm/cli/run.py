@@ -109,10 +109,11 @@ def run(
     The JSON has the keys scene, status, message, samples, duration_s, steps, rejected_steps,
     evaluations, wall_time_s (without compilation), compile_time_s (during the run and its check),
     realtime_factor, error_estimate, position_drift_max_m, velocity_drift_max_m_per_s,
-    energy_balance_max_J, final_object_position, final_object_quaternion_xyzw, contact_force_max_N
-    (by arm or connection; floor, if there is one), wrench_max (likewise: force_N, force_time_s,
-    moment_N_m, moment_time_s; on the object, about its centre of mass, of other connections on the
-    second body, about the joint's frame), limit_use (largest shares of effort, speed and range of
+    energy_balance_max_J, final_object_position, final_object_quaternion_xyzw (null with several
+    objects), final_poses (by object: position, quaternion_xyzw), contact_force_max_N (by arm or
+    connection; floor, if there is one), wrench_max (likewise: force_N, force_time_s, moment_N_m,
+    moment_time_s; on an object, about its centre of mass, of other connections on the second body,
+    about the joint's frame), limit_use (largest shares of effort, speed and range of
     each joint, 1 at the limit, their times in s; and the joints that use most), rank_lowest,
     rank_highest (independent constraints), coupled_steps (steps in which some arm could not be
     eliminated), integrator, stabilization, solver, arms (backend of each), accuracy, tolerance,

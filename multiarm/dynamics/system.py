@@ -37,7 +37,7 @@ from multiarm.results.channels import Channel, RowOwner, trajectory_channels
 from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
-from multiarm.scene.values import is_finite
+from multiarm.scene.values import is_finite, of_surroundings
 
 
 def require_system(system: Any, call: str) -> System:
@@ -288,18 +288,23 @@ class System:
     @cached_property
     def channels(self) -> tuple[Channel, ...]:
         """The recorded quantities of a run."""
-        model = self.model
-        around = model.records[model.layout.surroundings]
+        model, layout = self.model, self.model.layout
+        around = {
+            owner: [record.name for record in model.records[layout.contacts_of(c)]]
+            for c, owner in enumerate(layout.owners)
+            if of_surroundings(owner)
+        }
         return trajectory_channels(
             {name: arm.joint_units for name, arm in model.robots.items()},
             {name: [contact.name for contact in own] for name, own in model.contacts.items()},
             {name: {COMPONENTS[k]: UNITS[k] for k in f.free} for name, f in model.frames.items()},
             model.effects.works,
             model.contacts_with_states,
-            [record.name for record in around],
+            around,
             model.controlled,
             {name: self._row_owner(name) for name in model.contacts},
             [name for name, arm in model.robots.items() if arm.floats],
+            layout.objects,
         )
 
     def _row_owner(self, name: str) -> RowOwner:

@@ -73,10 +73,12 @@ class RotationSinceStart:
 
     A rotation vector is an axis times an angle in [0, pi]. Past half a turn the axis flips;
     flipping it back makes the angle continuous up to whole turns, which `unwrap` removes.
+
+    ``start`` is the quaternion xyzw of R(0), shape (1, 4), or (0, 4) of a run without samples.
     """
 
-    def __init__(self, trajectory: Trajectory):
-        self._start = trajectory.read("object/quaternion_xyzw", 0, 1)
+    def __init__(self, start: np.ndarray):
+        self._start = start
         self._axis, self._angle = np.zeros(3), 0.0
 
     def __call__(self, quaternions: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ from multiarm.plots.style import (
     ROLES,
     STYLE,
 )
-from multiarm.results.channels import channels_of, work_channels
+from multiarm.results.channels import channels_of, object_paths, work_channels
 from multiarm.results.contact_states import STATE_STYLES, ContactState
 from multiarm.results.energy import ENERGIES, energy_balance
 from multiarm.results.event_log import Event
@@ -50,22 +50,31 @@ _SHOWN = {
 
 
 def object_pose(trajectory: Trajectory) -> Figure:
-    """Position of the centre of mass, and rotation vector since the start, in world axes."""
-    time, position = decimate(trajectory, ["object/position"])
-    angle_time, rotation = decimate(
-        trajectory, ["object/quaternion_xyzw"], RotationSinceStart(trajectory)
-    )
-    panels = [
+    """Position of the centre of mass, and rotation vector since the start, in world axes.
+
+    Several objects have two panels each.
+    """
+    panels, paths = [], object_paths(trajectory.channels)
+    for name, path in paths.items():
+        panels += _pose_panels(trajectory, path, f"{name}: " if len(paths) > 1 else "")
+    return draw(panels, events=trajectory.events)
+
+
+def _pose_panels(trajectory: Trajectory, path: str, whose: str) -> list[Panel]:
+    time, position = decimate(trajectory, [f"{path}/position"])
+    quaternion = f"{path}/quaternion_xyzw"
+    since_start = RotationSinceStart(trajectory.read(quaternion, 0, 1))
+    angle_time, rotation = decimate(trajectory, [quaternion], since_start)
+    return [
         Panel(
-            "Position of the centre of mass", "position [m]",
+            f"{whose}Position of the centre of mass", "position [m]",
             time, position, tuple("xyz"), AXIS_COLOURS,
         ),
         Panel(
-            "Rotation since the start, as a rotation vector", "angle [deg]",
+            f"{whose}Rotation since the start, as a rotation vector", "angle [deg]",
             angle_time, rotation * _DEGREES, tuple("xyz"), AXIS_COLOURS,
         ),
     ]  # fmt: skip
-    return draw(panels, events=trajectory.events)
 
 
 def joint_positions(trajectory: Trajectory) -> Figure:

@@ -163,7 +163,10 @@ def _statistics(trajectory: Trajectory, figures: dict[str, Any]) -> dict[str, An
     counted = trajectory.statistics
     facts = {**course_facts(figures, counted.get("compile_time_s") or 0.0), **motion_facts(figures)}
     rows: dict[str, Any] = {heading(name): text for name, text in facts.items()}
-    rows["Orientation at the end, quaternion x y z w"] = figures["final_object_quaternion_xyzw"]
+    poses = figures["final_poses"]
+    for name, pose in poses.items():
+        whose = f" of {name}" if len(poses) > 1 else ""
+        rows[f"Orientation{whose} at the end, quaternion x y z w"] = pose["quaternion_xyzw"]
     return rows | {
         heading(key): value
         for key, value in counted.items()

@@ -49,20 +49,24 @@ def course_facts(figures: Mapping[str, Any], compilation: float) -> dict[str, st
 
 
 def motion_facts(figures: Mapping[str, Any]) -> dict[str, str]:
-    """Where the object is at the end of a run, and its largest forces, from :func:`figures_of`."""
-    from multiarm.results.channels import FLOOR
+    """Where the objects are at the end of a run, and largest forces, from :func:`figures_of`."""
+    from multiarm.scene.values import of_surroundings
 
-    position, rows = figures["final_object_position"], {}
-    if position is not None:
-        rows["object at the end"] = numbers(position, "m")
+    poses = figures["final_poses"]
+    rows = {
+        f"{name} at the end": numbers(pose["position"], "m")
+        for name, pose in poses.items()
+        if pose["position"] is not None
+    }
     robots, wrenches = figures["arms"], figures["wrench_max"]
     for name, force in figures["contact_force_max_N"].items():
         wrench = wrenches.get(name)
         if wrench is None and wrenches:
             rows[f"largest forces, {name}"] = f"{number(force)} N or N m at joints that are held"
             continue
-        of_robot = not isinstance(robots, Mapping) or name in robots or name == FLOOR
-        where = " on the object" if of_robot else ""  # of other connections on the second body
+        of_robot = not isinstance(robots, Mapping) or name in robots or of_surroundings(name)
+        # of other connections on the second body, which is one of several objects, too
+        where = " on the object" if of_robot and len(poses) == 1 else ""
         rows[f"largest forces, {name}"] = _forces(wrench, force, where)
     return rows
 

@@ -4,6 +4,10 @@ A channel is one physical quantity sampled K times: `object/position` is (K, 3) 
 axes, `arms/left/joint_torque` is (K, nv). A `Channel` describes its numbers (unit, frame,
 description, a label per column), so that a file can be read without this program.
 
+The channels of several objects are `objects/beam/position` and the like, and those of their
+contacts with the floor `environment/beam/contact_force`; one object, whatever its name, has
+`object/position` and `environment/contact_force`.
+
 A run produces its samples as rows of numbers, shape (K, width). Columns are the places of the
 channels in a row, so that rows are split into channels only when one is read.
 """
@@ -14,21 +18,22 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.contact_states import RECORDED_STATES
+from multiarm.scene.values import SURROUNDINGS
 
 CLOSED = "this trajectory was closed; load it from its file, or simulate again"
 """Message for reading a channel whose samples were released."""
 Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
-FLOOR = "floor"
-"""In place of an arm: contacts of the object with its surroundings."""
-OBJECT, ARMS, ENVIRONMENT, EFFECTS = "object", "arms", "environment", "effects"
+OBJECT, OBJECTS, ARMS, ENVIRONMENT, EFFECTS = "object", "objects", "arms", "environment", "effects"
 """Groups of channels; others, such as ``energy``, are of the whole run."""
+NAMES_OF_OBJECTS = "objects"
+"""Entry of a result's metadata: the names of the objects, in the order of the scene."""
 # Quantities of a robot's joints.
 _OF_JOINTS = ("joint_position", "joint_velocity", "joint_torque")
 # Descriptions of forces: of a connection on its second body, of rows of joints, of the floor.
@@ -37,7 +42,7 @@ _JOINT_FORCES = (
     "torque (force, if the joint slides) of joints' stops, dry friction and couplings; positive "
     "drives the joint along the row's direction"
 )
-_FLOOR_FORCES = "force of the floor at each contact along its normal; positive pushes the object"
+_FLOOR_FORCES = "force of the floor at each contact along its normal; positive pushes the {}"
 
 
 class Owner(NamedTuple):
@@ -48,7 +53,7 @@ class Owner(NamedTuple):
     group : str
         The first part of the channel's name; empty for the time.
     name : str
-        Of the arm or the effect; empty in groups that have one owner only.
+        Of the arm, the effect or one of several objects; empty where a group has one owner only.
     """
 
     group: str
@@ -180,14 +185,47 @@ def base_names(channels: Mapping[str, Channel]) -> tuple[str, ...]:
     )
 
 
+def object_paths(channels: Mapping[str, Channel]) -> dict[str, str]:
+    """Object -> the path of its channels, in the order of the scene; one alone is ``object``."""
+    owners = (channel.owner for channel in channels.values())
+    names = dict.fromkeys(owner.name for owner in owners if owner.group == OBJECTS)
+    return {name: f"{OBJECTS}/{name}" for name in names} or {OBJECT: OBJECT}
+
+
+def named_object_paths(
+    channels: Mapping[str, Channel], metadata: Mapping[str, Any]
+) -> dict[str, str]:
+    """The same with the name of one alone, which the metadata of a run have.
+
+    Results of earlier versions have none.
+    """
+    paths = object_paths(channels)
+    match metadata.get(NAMES_OF_OBJECTS):
+        case [str(name)] if len(paths) == 1:
+            return {name: next(iter(paths.values()))}
+    return paths
+
+
 def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str]:
-    """Arm, connection or "floor" -> name of its channel of a quantity, of the channels of a run."""
+    """Owner of rows -> name of its channel of a quantity, of the channels of a run.
+
+    Owners are arms and connections, and ``floor`` or, of several objects, ``floor/beam``.
+    """
     of_quantity = [channel for channel in channels.values() if channel.quantity == quantity]
     names = {c.owner.name: c.name for c in of_quantity if c.owner.group == ARMS}
     for channel in of_quantity:
-        if channel.owner.group == ENVIRONMENT:
-            names.setdefault(FLOOR, channel.name)  # an arm may have this name
+        group, name = channel.owner
+        if group == ENVIRONMENT:
+            owner = f"{SURROUNDINGS}/{name}" if name else SURROUNDINGS
+            names.setdefault(owner, channel.name)  # an arm may have this name
     return names
+
+
+def environment_paths(channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """The paths of the channels of objects' contacts with what stands still."""
+    owners = (channel.owner for channel in channels.values())
+    paths = ("/".join(owner).rstrip("/") for owner in owners if owner.group == ENVIRONMENT)
+    return tuple(dict.fromkeys(paths))
 
 
 def work_channels(channels: Mapping[str, Channel]) -> dict[str, str]:
@@ -214,12 +252,13 @@ def trajectory_channels(
     free: Mapping[str, Mapping[str, str]] | None = None,
     works: Sequence[str] = (),
     states: Mapping[str, Sequence[str]] | None = None,
-    environment: Sequence[str] = (),
+    environment: Mapping[str, Sequence[str]] | None = None,
     controlled: bool = False,
     owners: Mapping[str, RowOwner] | None = None,
     bases: Sequence[str] = (),
+    objects: Sequence[str] = (OBJECT,),
 ) -> tuple[Channel, ...]:
-    """The channels of a run: time, object, robots and contacts, floor, effects, energy and drift.
+    """The channels of a run: time, objects, robots and contacts, floor, effects, energy and drift.
 
     Parameters
     ----------
@@ -232,21 +271,23 @@ def trajectory_channels(
     works : sequence of str
         Names of the effects whose work is recorded.
     states : mapping
-        Owner, or ``"floor"`` -> names of its contacts that can open, slide or stick.
-    environment : sequence of str
-        Names of the rows of the object's contacts with the floor.
+        Owner of rows, the floor's too -> names of its contacts that can open, slide or stick.
+    environment : mapping, optional
+        ``"floor"``, or ``"floor/NAME"`` of several objects -> names of the rows of the contacts
+        with the floor.
     controlled : bool
         Whether the robots have a control, whose power is recorded.
     owners : mapping, optional
         Those that are no arms: the others are robots too, with one tip at the object.
     bases : sequence of str
         Names of the robots whose base floats.
+    objects : sequence of str
+        Names of the objects, in the order of the scene.
     """
     free, states, owners = free or {}, states or {}, owners or {}
-    channels = [
-        Channel("time", (), "s", "", "time of the sample"),
-        *_motion_channels("object/", "object", "centre of mass"),
-    ]
+    channels = [Channel("time", (), "s", "", "time of the sample")]
+    for path, name in _paths_of_objects(objects):
+        channels += _motion_channels(f"{path}/", name, "centre of mass")
     facts = {name: owners.get(name, RowOwner(name, OBJECT, True, True)) for name in contacts}
     for robot, units in joints.items():
         channels += _arm_channels(f"arms/{robot}", units)
@@ -262,11 +303,11 @@ def trajectory_channels(
         channels += _owner_channels(
             owner, facts[owner], contacts[owner], states.get(owner, ()), free.get(owner, {})
         )
-    if environment:
-        channels += _contact_channels(
-            "environment", environment, states.get(FLOOR, ()), _FLOOR_FORCES
-        )
-        channels.append(wrench_channel("environment"))
+    for owner, rows in (environment or {}).items():
+        name = owner.partition("/")[2]
+        path, force = f"{ENVIRONMENT}/{name}".rstrip("/"), _FLOOR_FORCES.format(name or OBJECT)
+        channels += _contact_channels(path, rows, states.get(owner, ()), force)
+        channels.append(wrench_channel(path, name or OBJECT))
     scalars = [
         *((f"effects/{name}/work", "J", f"work done by {name} since the start") for name in works),
         ("energy/kinetic", "J", "kinetic energy of the arms and the object"),
@@ -285,6 +326,13 @@ def trajectory_channels(
     return tuple(channels)
 
 
+def _paths_of_objects(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Path of the channels of each object, and what descriptions call it."""
+    if len(names) == 1:
+        return [(OBJECT, OBJECT)]
+    return [(f"{OBJECTS}/{name}", name) for name in names]
+
+
 def _owner_channels(
     owner: str,
     fact: RowOwner,
@@ -297,7 +345,7 @@ def _owner_channels(
     force = _CONTACT_FORCES.format(fact.second) if fact.second else _JOINT_FORCES
     channels = _contact_channels(path, contacts, with_states, force)
     if free:
-        channels += _free_channels(path, free, fact.on_object)
+        channels += _free_channels(path, free, fact.first_is_link and fact.on_object)
     if fact.second:
         channels.append(wrench_channel(path, fact.second, fact.on_object))
     if fact.first_is_link:
@@ -381,8 +429,8 @@ def _contact_channels(
     return channels
 
 
-def _free_channels(path: str, free: Mapping[str, str], on_object: bool) -> list[Channel]:
-    first, second = ("arm", "object") if on_object else ("first body", "second body")
+def _free_channels(path: str, free: Mapping[str, str], of_arm: bool) -> list[Channel]:
+    first, second = ("arm", "object") if of_arm else ("first body", "second body")
     labels, n, frame = tuple(free), (len(free),), f"joint frame on the {second}"
     return [
         Channel(

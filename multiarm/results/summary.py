@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.results.channels import channels_of
+from multiarm.results.channels import channels_of, named_object_paths
 from multiarm.results.energy import largest_imbalance
 from multiarm.results.limit_use import limit_summary
 from multiarm.results.outcome import plain
 from multiarm.results.recorded_run import RecordedRun
+
+POSE = ("position", "quaternion_xyzw")
+"""What a summary has of an object."""
 
 
 def summarise(run: RecordedRun) -> dict[str, Any]:
@@ -22,7 +25,8 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
     forces, wrenches = (
         channels_of(run.channels, quantity) for quantity in ("contact_force", "wrench")
     )
-    statistics = run.statistics
+    statistics, poses = run.statistics, _final_poses(run)
+    only = next(iter(poses.values())) if len(poses) == 1 else dict.fromkeys(POSE)
     return {
         "status": run.status,
         "message": run.message,
@@ -32,14 +36,22 @@ def summarise(run: RecordedRun) -> dict[str, Any]:
         "position_drift_max_m": _largest(run, "drift/position"),
         "velocity_drift_max_m_per_s": _largest(run, "drift/velocity"),
         "energy_balance_max_J": largest_imbalance(run).value if len(run) else None,
-        "final_object_position": _last(run, "object/position"),
-        "final_object_quaternion_xyzw": _last(run, "object/quaternion_xyzw"),
+        **{f"final_object_{part}": only[part] for part in POSE},
+        "final_poses": poses,
         "contact_force_max_N": {arm: _largest(run, name) for arm, name in forces.items()},
         "limit_use": limit_summary(run),
         "wrench_max": {arm: _largest_wrench(run, name) for arm, name in wrenches.items()},
         "rank_lowest": plain(statistics.get("lowest_rank")),
         "rank_highest": plain(statistics.get("highest_rank")),
         "coupled_steps": plain(statistics.get("coupled_steps")),
+    }
+
+
+def _final_poses(run: RecordedRun) -> dict[str, dict[str, list[float] | None]]:
+    """Object -> its position [m] and its quaternion xyzw at the last sample; None without any."""
+    paths = named_object_paths(run.channels, run.provenance)
+    return {
+        name: {part: _last(run, f"{path}/{part}") for part in POSE} for name, path in paths.items()
     }
 
 

@@ -27,6 +27,8 @@ from multiarm.results.channels import (
     base_names,
     channels_of,
     contact_owners,
+    named_object_paths,
+    object_paths,
     work_channels,
 )
 from multiarm.results.energy import energy_at_start, energy_balance
@@ -64,7 +66,7 @@ class Store(Protocol):
         """Release the samples; further reads are an error."""
 
 
-class _MissingArmError(TrajectoryError, KeyError):
+class _MissingNameError(TrajectoryError, KeyError):
     """A KeyError whose text is a sentence."""
 
     __str__ = TrajectoryError.__str__
@@ -81,14 +83,14 @@ class ByArm(Mapping[str, np.ndarray]):
 
     def __getitem__(self, arm: str) -> np.ndarray:
         if not self._names:
-            raise _MissingArmError(
+            raise _MissingNameError(
                 f"this result has no channels '{self._quantity}': it is that of an earlier version "
                 "of multiarm; run the scene again"
             )
         if arm not in self._names:
             known = ", ".join(map(repr, self._names))
             noun = "connection" if any("/" in name for name in self._names) else "arm"
-            raise _MissingArmError(f"unknown {noun} {arm!r}; {noun}s are {known}")
+            raise _MissingNameError(f"unknown {noun} {arm!r}; {noun}s are {known}")
         return self._read(self._names[arm])
 
     def __iter__(self) -> Iterator[str]:
@@ -98,8 +100,11 @@ class ByArm(Mapping[str, np.ndarray]):
         return len(self._names)
 
 
-class BaseChannels:
-    """Motion of a robot's floating base, the frame of its root link; read on access."""
+class FrameChannels:
+    """Motion of an object, or of a robot's floating base; read on access.
+
+    The frame of an object is at its centre of mass, that of a base is the frame of its root link.
+    """
 
     def __init__(self, read: Callable[[str], np.ndarray], prefix: str):
         self._read, self._prefix = read, prefix
@@ -120,6 +125,18 @@ class BaseChannels:
     def twist(self) -> np.ndarray:
         """Velocity of the origin [m/s], angular velocity [rad/s], world, shape (K, 6)."""
         return self._read(f"{self._prefix}twist")
+
+
+class _ByName(dict[str, FrameChannels]):
+    """Motions by the names of objects or robots."""
+
+    def __init__(self, noun: str, motions: Mapping[str, FrameChannels]):
+        super().__init__(motions)
+        self._noun = noun
+
+    def __missing__(self, name: str) -> FrameChannels:
+        known = f"those are {', '.join(map(repr, self))}" if self else "there is none"
+        raise _MissingNameError(f"{name!r} is no {self._noun} of this result; {known}")
 
 
 class Trajectory:
@@ -261,24 +278,35 @@ class Trajectory:
 
     @property
     def object_position(self) -> np.ndarray:
-        """Centre of mass of the object in world axes, shape (K, 3) [m]."""
-        return self.channel("object/position")
+        """Centre of mass of the object in world axes, shape (K, 3) [m].
+
+        Of a scene with several objects, :attr:`objects` has this and the two others.
+        """
+        return self._of_only_object("position")
 
     @property
     def object_quaternion_xyzw(self) -> np.ndarray:
         """Orientation of the object, scalar last, shape (K, 4)."""
-        return self.channel("object/quaternion_xyzw")
+        return self._of_only_object("quaternion_xyzw")
 
     @property
     def object_twist(self) -> np.ndarray:
         """Velocity of the centre of mass [m/s], angular velocity [rad/s], world, (K, 6)."""
-        return self.channel("object/twist")
+        return self._of_only_object("twist")
 
     @property
-    def bases(self) -> dict[str, BaseChannels]:
+    def objects(self) -> Mapping[str, FrameChannels]:
+        """Object -> motion of its centre of mass; the object of ``object:`` is called so."""
+        paths = named_object_paths(self._store.channels, self._store.metadata)
+        motions = {name: FrameChannels(self.channel, f"{path}/") for name, path in paths.items()}
+        return _ByName("object", motions)
+
+    @property
+    def bases(self) -> Mapping[str, FrameChannels]:
         """Robot -> motion of its base, of robots whose base floats."""
         names = base_names(self._store.channels)
-        return {name: BaseChannels(self.channel, f"arms/{name}/base_") for name in names}
+        motions = {name: FrameChannels(self.channel, f"arms/{name}/base_") for name in names}
+        return _ByName("robot with a floating base", motions)
 
     @property
     def joint_positions(self) -> Mapping[str, np.ndarray]:
@@ -312,7 +340,8 @@ class Trajectory:
     def contact_forces(self) -> Mapping[str, np.ndarray]:
         """Arm, connection -> forces along the contact normals, shape (K, N) [N]; positive pushes.
 
-        ``"floor"`` has those of the object's contacts with the floor, in scenes that have one.
+        ``"floor"`` has those of the object's contacts with the floor, in scenes that have one; of
+        several objects each has its own, ``"floor/beam"``.
         """
         return self._by_arm("contact_force")
 
@@ -322,8 +351,8 @@ class Trajectory:
 
         With friction; force [N] and moment [N m], world axes, about the object's centre of mass, on
         another body about the origin of the joint's frame there, as in
-        :attr:`multiarm.Evaluation.wrenches`; ``"floor"`` has that of the floor, in scenes that have
-        one.
+        :attr:`multiarm.Evaluation.wrenches`; ``"floor"``, or ``"floor/beam"``, has that of the
+        floor, in scenes that have one.
         """
         return self._by_arm("wrench")
 
@@ -347,7 +376,7 @@ class Trajectory:
 
     @property
     def contact_states(self) -> Mapping[str, np.ndarray]:
-        """Arm, or "floor" -> what each contact does, codes of a `ContactState`, (K, N).
+        """Arm, "floor" or "floor/beam" -> what each contact does, codes of `ContactState`, (K, N).
 
         0 open, 1 touching, 2 sliding, 3 sticking, 4 resting: touching, carried by other contacts.
         An arm without unilateral contacts has shape (K, 0).
@@ -524,7 +553,8 @@ class Trajectory:
             wall_time_s (without compilation), compile_time_s (of all runs of its check
             together), realtime_factor, error_estimate as far as the run counted them;
             position_drift_max_m, velocity_drift_max_m_per_s, energy_balance_max_J (largest
-            magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists);
+            magnitudes); final_object_position [m] and final_object_quaternion_xyzw (lists), None
+            with several objects; final_poses, by object: position [m] and quaternion_xyzw;
             contact_force_max_N, the largest magnitude per arm, and of the floor; wrench_max, per
             arm, and of the floor: force_N and moment_N_m, the largest magnitudes of force and
             moment on the object, at force_time_s and moment_time_s; limit_use: the rows of
@@ -569,6 +599,17 @@ class Trajectory:
     def close(self) -> None:
         """Release the file or the arrays of samples; cached channels stay."""
         self._store.close()
+
+    def _of_only_object(self, quantity: str) -> np.ndarray:
+        """A quantity of the object, where there is one."""
+        paths = object_paths(self._store.channels)
+        name, path = next(iter(paths.items()))
+        if len(paths) > 1:
+            raise TrajectoryError(
+                f"there are {len(paths)} objects, {', '.join(paths)}; read "
+                f"`objects[{name!r}].{quantity}`"
+            )
+        return self.channel(f"{path}/{quantity}")
 
     def _by_arm(self, quantity: str, optional: bool = False) -> ByArm:
         """A quantity's channels; ``optional``: an owner without one has no columns of it."""

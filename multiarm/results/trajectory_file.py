@@ -4,7 +4,7 @@ Layout (format `multiarm trajectory`, version 1)::
 
     /                        attributes: format, format_version, provenance (JSON)
     /scene                   the scene, YAML text
-    /time, /object/..., /arms/<arm>/..., /energy/..., /drift/...
+    /time, /object/... (of several /objects/<object>/...), /arms/<arm>/..., /energy/...
                              one resizable float64 dataset per channel, leading axis = samples,
                              attributes: unit, frame, description, columns
     /progress                [samples safely written, pieces of the outcome]
@@ -46,6 +46,8 @@ from multiarm.results.channels import (
     arm_names,
     base_channels,
     control_power_channel,
+    environment_paths,
+    object_paths,
     owner_names,
     recordable,
     tip_channels,
@@ -157,9 +159,11 @@ class TrajectoryReader(StoredFile):
             )
             for path in (f"arms/{owner}" for owner in owner_names(self.channels))
         ]
-        floor = wrench_channel("environment")
+        around = [wrench_channel(path) for path in environment_paths(self.channels)]
+        objects = tuple(object_paths(self.channels))
         # those that runs have, with a shape that does not depend on the scene
-        for channel in (*trajectory_channels({}, {}), *itertools.chain(*of_arms), floor):
+        of_run = trajectory_channels({}, {}, objects=objects)
+        for channel in (*of_run, *itertools.chain(*of_arms), *around):
             if self.channels.get(channel.name, channel).shape != channel.shape:
                 raise self.broken(f"channel '{channel.name}' has another shape")
         for arm in arm_names(self.channels):

@@ -51,11 +51,12 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import Word, number
-from multiarm.results.channels import FLOOR, arm_channel, channels_of
+from multiarm.results.channels import arm_channel, channels_of, object_paths
 from multiarm.results.energy import largest_imbalance
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
+from multiarm.scene.values import of_surroundings
 from multiarm.simulation.comparison import (
     FORCE,
     OUTPUT_KINDS,
@@ -307,7 +308,7 @@ def _energy_check(
         state = sample_state(data.model.layout, run, k)
         units = data.model.coordinate_units
         off = np.array([accuracy[POSITION if unit == "m" else ROTATION] for unit in units])
-        names = ["object/twist"]
+        names = [f"{path}/twist" for path in object_paths(run.channels).values()]
         for name, arm in data.model.robots.items():
             names += [arm_channel(name, "base_twist")] if arm.floats else []
             names.append(arm_channel(name, "joint_velocity"))
@@ -328,7 +329,7 @@ def _energy_check(
 def _work_on_gaps(run: Trajectory) -> float:
     """Bound of the work of contact forces on gaps that are not closed [J]."""
     owners = channels_of(run.channels, "contact_force")
-    forces = [name for owner, name in owners.items() if owner != FLOOR]
+    forces = [name for owner, name in owners.items() if not of_surroundings(owner)]
     largest, gap, opened, before = 0.0, 0.0, 0.0, None
     for time, gaps, rates, *blocks in run.blocks(
         "time", "drift/position", "drift/velocity", *forces
@@ -342,7 +343,7 @@ def _work_on_gaps(run: Trajectory) -> float:
 
 
 def _momenta(data: Data, state: State) -> np.ndarray:
-    """Generalised momenta M v, shape (6 + n,)."""
+    """Generalised momenta M v, shape (6 F + n,)."""
     place_state(data, 0.0, state)
     require_ok(data, update_kinematics(data.struct))
     momenta = np.empty_like(state.velocity)
@@ -351,7 +352,7 @@ def _momenta(data: Data, state: State) -> np.ndarray:
 
 
 def _energy_gradient(data: Data, state: State) -> np.ndarray:
-    """Derivative of the energy with respect to positions, shape (6 + n,) [N, N m]."""
+    """Derivative of the energy with respect to positions, shape (6 F + n,) [N, N m]."""
     change = 1e-5  # [m, rad]
 
     def energy(displacement: np.ndarray) -> float:

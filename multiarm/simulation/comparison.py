@@ -1,9 +1,9 @@
 """Comparison of two runs at their output times, and the growth of their difference.
 
 Both are read in blocks, so that memory does not grow with the length of the run.  Compared are
-position of the object [m], its rotation (the angle of the relative quaternion) [rad], the joints of
-every arm (sliding ones in m, turning ones in rad) and the contact forces of every arm and of the
-floor [N], of those contacts that both runs have.
+position of every object and floating base [m], its rotation (the angle of the relative quaternion)
+[rad], the joints of every arm (sliding ones in m, turning ones in rad) and the contact forces of
+every arm and of the floor [N], of those contacts that both runs have.
 
 *Undetermined forces.*  Where the constraints are dependent, the equations leave some forces open,
 and the reported ones depend on roundings.  At samples whose rank is below the number of contacts
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum, auto
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.events.evaluation import evaluate_data
-from multiarm.results.channels import arm_channel, base_names, channels_of
+from multiarm.results.channels import arm_channel, base_names, channels_of, object_paths
 from multiarm.results.trajectory import Trajectory
 
 POSITION, ROTATION, FORCE = "position_m", "rotation_rad", "force_N"
@@ -42,6 +43,14 @@ VELOCITIES = ("twist", "joint_velocity", "base_twist")
 BLOCK_SAMPLES = 4096
 
 
+class Measure(Enum):
+    """How far apart two samples of an output are."""
+
+    EACH = auto()  # magnitude of the difference of each number
+    LENGTH = auto()  # of the difference of two points
+    ANGLE = auto()  # between two orientations
+
+
 @dataclass(frozen=True)
 class Output:
     """Columns of a channel that are compared together."""
@@ -51,7 +60,8 @@ class Output:
     channel: str
     columns: np.ndarray
     others: np.ndarray  # the columns of the other run
-    arm: str = ""  # or "floor"; empty for the object
+    arm: str = ""  # or "floor", or one of several objects; empty for the only one
+    measure: Measure = Measure.EACH
 
     @property
     def name(self) -> str:
@@ -65,7 +75,7 @@ class Difference:
 
     kind: str
     noun: str  # of the output
-    arm: str = ""  # or "floor"; empty for the object
+    arm: str = ""  # or "floor", or one of several objects; empty for the only one
     worst: float = 0.0
     time: float = 0.0  # [s], of the largest difference
     size: float = 0.0  # of the values themselves
@@ -95,12 +105,10 @@ class Comparison:
 
 
 def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
-    """Outputs that are compared: the object's pose, joints and bases of robots, contact forces."""
-    place, turn = np.arange(3), np.arange(4)
-    outputs = [
-        Output("object position", POSITION, "object/position", place, place),
-        Output("object rotation", ROTATION, "object/quaternion_xyzw", turn, turn),
-    ]
+    """Outputs that are compared: objects' poses, joints and bases of robots, contact forces."""
+    outputs, paths = [], object_paths(run.channels)
+    for name, path in paths.items():
+        outputs += _pose("object", f"{path}/", name if len(paths) > 1 else "")
     for arm in run.arm_names:
         joints = run.channels[arm_channel(arm, "joint_position")]
         units = np.array(joints.column_units)
@@ -109,10 +117,7 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
             if columns.size:
                 outputs.append(Output(noun, kind, joints.name, columns, columns, arm))
     for robot in base_names(run.channels):
-        position = arm_channel(robot, "base_position")
-        rotation = arm_channel(robot, "base_quaternion_xyzw")
-        outputs.append(Output("base position", POSITION, position, place, place, robot))
-        outputs.append(Output("base rotation", ROTATION, rotation, turn, turn, robot))
+        outputs += _pose("base", arm_channel(robot, "base_"), robot)
     for owner, name in channels_of(run.channels, "contact_force").items():
         if name not in other.channels:
             continue
@@ -122,6 +127,16 @@ def outputs_of(run: Trajectory, other: Trajectory) -> list[Output]:
             same = np.flatnonzero([label in labels for label in others])
             outputs.append(Output("contact forces", FORCE, name, columns, same, owner))
     return outputs
+
+
+def _pose(noun: str, prefix: str, owner: str) -> list[Output]:
+    """Position and rotation of a frame; ``prefix`` is that of its channels."""
+    place, turn = np.arange(3), np.arange(4)
+    position, rotation = f"{prefix}position", f"{prefix}quaternion_xyzw"
+    return [
+        Output(f"{noun} position", POSITION, position, place, place, owner, Measure.LENGTH),
+        Output(f"{noun} rotation", ROTATION, rotation, turn, turn, owner, Measure.ANGLE),
+    ]
 
 
 def compare(
@@ -251,9 +266,11 @@ def sample_state(layout: Layout, run: Trajectory, k: int) -> State:
         return run.read(name, k, k + 1)[0]
 
     state = State(np.zeros(layout.nq), np.zeros(layout.nv), layout)
-    state.object_position[:] = read("object/position")
-    state.object_quaternion_xyzw[:] = read("object/quaternion_xyzw")
-    state.object_twist[:] = read("object/twist")
+    paths = object_paths(run.channels).values()
+    for moving, path in zip(state.objects.values(), paths, strict=True):
+        moving.position[:] = read(f"{path}/position")
+        moving.quaternion_xyzw[:] = read(f"{path}/quaternion_xyzw")
+        moving.twist[:] = read(f"{path}/twist")
     for robot in layout.names:
         state.joint_positions[robot][:] = read(arm_channel(robot, "joint_position"))
         state.joint_velocities[robot][:] = read(arm_channel(robot, "joint_velocity"))
@@ -265,40 +282,41 @@ def sample_state(layout: Layout, run: Trajectory, k: int) -> State:
 
 
 def rotation_apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Angles between two sequences of unit quaternions xyzw, shapes (k, 4), to (k,) [rad]."""
-    vector = first[:, 3:] * second[:, :3] - second[:, 3:] * first[:, :3]
-    vector -= np.cross(first[:, :3], second[:, :3])
-    scalar = np.einsum("ij,ij->i", first, second)
-    return 2.0 * np.arctan2(np.linalg.norm(vector, axis=1), np.abs(scalar))
+    """Angles between two sequences of unit quaternions xyzw, shapes (..., 4), to (...) [rad]."""
+    vector = first[..., 3:] * second[..., :3] - second[..., 3:] * first[..., :3]
+    vector -= np.cross(first[..., :3], second[..., :3])
+    scalar = np.einsum("...j,...j->...", first, second)
+    return 2.0 * np.arctan2(np.linalg.norm(vector, axis=-1), np.abs(scalar))
 
 
 def object_poses(run: Trajectory) -> np.ndarray:
-    """Poses of the object: position [m] and quaternion xyzw, shape (K, 7)."""
-    return np.column_stack([run.object_position, run.object_quaternion_xyzw])
+    """Poses of the F objects: position [m] and quaternion xyzw, shape (K, F, 7)."""
+    objects = run.objects.values()
+    return np.stack([np.hstack([o.position, o.quaternion_xyzw]) for o in objects], axis=1)
 
 
 def pose_differences(poses: np.ndarray, others: np.ndarray) -> tuple[float, float]:
-    """Largest distance [m] and largest angle [rad] between two sequences of poses, (K, 7)."""
-    distances = np.linalg.norm(poses[:, :3] - others[:, :3], axis=1)
-    return float(np.max(distances)), float(np.max(rotation_apart(poses[:, 3:], others[:, 3:])))
+    """Largest distance [m] and largest angle [rad] between poses, shapes (..., 7)."""
+    distances = np.linalg.norm(poses[..., :3] - others[..., :3], axis=-1)
+    return float(np.max(distances)), float(np.max(rotation_apart(poses[..., 3:], others[..., 3:])))
 
 
 def _apart(output: Output, first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Differences of an output, shape (k, columns); a rotation and a position have one."""
-    if output.channel == "object/quaternion_xyzw":
+    if output.measure is Measure.ANGLE:
         return rotation_apart(first, second)[:, None]
     gap = first[:, output.columns] - second[:, output.others]
-    if output.channel == "object/position":
+    if output.measure is Measure.LENGTH:
         return np.linalg.norm(gap, axis=1)[:, None]
     return np.abs(gap)
 
 
 def _sizes(output: Output, values: np.ndarray) -> np.ndarray:
     """Magnitudes of an output, in the shape of its differences."""
-    if output.channel == "object/quaternion_xyzw":
+    if output.measure is Measure.ANGLE:
         return np.ones((len(values), 1))
     sizes = np.abs(values[:, output.columns])
-    return sizes.max(axis=1)[:, None] if output.channel == "object/position" else sizes
+    return sizes.max(axis=1)[:, None] if output.measure is Measure.LENGTH else sizes
 
 
 def _note(

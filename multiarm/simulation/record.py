@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from multiarm.dynamics.system import System
+from multiarm.results.channels import NAMES_OF_OBJECTS
 from multiarm.results.limit_use import LIMITS, limits_record
 from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import Sink, provenance
@@ -138,6 +139,7 @@ def _metadata(
         {} if sampling is None else {"sample_time": sampling.time, "sample_delay": sampling.delay}
     )
     start, created = "given state" if with_state else "scene", time.time()
+    objects = list(system.model.layout.objects)
     limits = {
         name: limits_record(arm.effort_limits, arm.velocity_limits, arm.position_limits)
         for name, arm in system.arms.items()
@@ -146,6 +148,7 @@ def _metadata(
     def metadata() -> dict[str, Any]:
         text = dump_scene(scene.model_copy(update={"run": spec}))
         of_run = {"control": control, **times, "start": start, LIMITS: limits}
+        of_run |= {NAMES_OF_OBJECTS: objects}
         return {**provenance(text, created), **of_run, **about}
 
     return metadata

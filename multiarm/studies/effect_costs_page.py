@@ -133,6 +133,8 @@ def _cost(entry: Entry) -> str:
 def _change(ledger: Ledger, entry: Entry, name: str) -> str:
     """``the object's path by 41 mm``."""
     arm, what = entry.changes[name].arm, CHANGE_QUANTITIES[name].what
+    if arm:  # one of several objects
+        what = {PATH: "path", TURN: "orientation"}.get(name, what)
     whose = f"{arm}'s" if arm else "the"
     end = " at the end" if entry.name == RECORDING and entry.kind == SETTING else ""
     return f"{whose} {what} by {size(ledger, entry, name)} {SHOWN[name].unit}{end}"

@@ -55,7 +55,7 @@ class Motion(NamedTuple):
         joints = [exact.joint_positions[arm] for arm in exact.arm_names]
         count = min(len(self.positions), len(exact))
         poses, angles = np.split(self.positions[:count], (7,), axis=1)
-        position, rotation = pose_differences(poses, object_poses(exact)[:count])
+        position, rotation = pose_differences(poses, object_poses(exact)[:count, 0])
         apart = np.abs(angles - np.column_stack(joints)[:count])
         return {
             "position": position,

@@ -41,7 +41,7 @@ from multiarm.scene.code import (
 )
 from multiarm.scene.faults import fault_at, place, shown
 from multiarm.sweeps.axes import AxisSpec, paths_of
-from multiarm.sweeps.quantities import UserQuantity
+from multiarm.sweeps.quantities import OF_ONE_OBJECT, UserQuantity
 from multiarm.sweeps.spec import SweepSpec, examined, read_sweep
 
 MOST_RUNS = 1_000_000
@@ -165,7 +165,8 @@ def make_plan(
         refuse_code(plan.code)
     # a function that is named in Python may lie in any folder
     within = None if source is None or "keep" in changes else folder
-    faults += [*_plan_faults(spec), *_quantity_faults(spec, within), *in_run, *plan.trials.faults]
+    faults += [*_plan_faults(spec), *_quantity_faults(spec, within), *_object_faults(spec, scene)]
+    faults += [*in_run, *plan.trials.faults]
     if faults:
         raise SweepError(faults, source=source)
     return plan
@@ -224,6 +225,20 @@ def _quantity_faults(spec: SweepSpec, folder: Path | None) -> list[Fault]:
         problem = f"{name!r} stands twice; give one of them another 'name'"
         faults.append(fault_at(("keep",), problem))
     return faults
+
+
+def _object_faults(spec: SweepSpec, scene: Scene) -> list[Fault]:
+    """Faults of quantities of the object, where there are several."""
+    objects = list(scene.all_objects)
+    return [
+        fault_at(
+            ("keep",),
+            f"{name!r} is of scenes with one object, there are {', '.join(objects)}; keep a "
+            f"function of the trajectory, which reads `objects[{objects[0]!r}].position`",
+        )
+        for name in spec.keep
+        if name in OF_ONE_OBJECT and len(objects) > 1
+    ]
 
 
 def _repeated(names: Iterable[str]) -> list[str]:

@@ -146,7 +146,7 @@ def _largest(*channels: np.ndarray) -> float:
 def _pose_errors(trajectory: Trajectory) -> tuple[float, float]:
     """Distance [m] and angle [rad] of the object's last pose from the desired one.
 
-    Without a path the desired pose is that at t = 0.
+    Without a path the desired pose is that at t = 0.  Of several objects the largest ones.
     """
     from multiarm.control.object_path import pose_path, reference_pose, route
     from multiarm.simulation.comparison import object_poses, pose_differences
@@ -155,11 +155,12 @@ def _pose_errors(trajectory: Trajectory) -> tuple[float, float]:
     desired = poses[0]
     waypoints = trajectory.scene.control.object_waypoints
     if waypoints:
-        start = Pose(xyz=desired[:3].tolist(), quaternion_xyzw=desired[3:].tolist())
+        (pose,) = desired  # a path leads one object
+        start = Pose(xyz=pose[:3].tolist(), quaternion_xyzw=pose[3:].tolist())
         path = pose_path(*route(start.matrix(), waypoints))
         position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
         desired = np.concatenate([position, quaternion])
-    return pose_differences(poses[-1:], desired[None])
+    return pose_differences(poses[-1], desired)
 
 
 def _position_error(trajectory: Trajectory) -> float:
@@ -183,8 +184,14 @@ class Known(NamedTuple):
 
 
 def _final(axis: int) -> Known:
-    words = f"{'xyz'[axis]} of the object's centre of mass at the end"
+    words = f"{'xyz'[axis]} of the object's centre of mass at the end, in scenes with one object"
     return Known("m", words, lambda run: float(run.object_position[-1, axis]))
+
+
+def _largest_of_objects(run: Trajectory, part: slice) -> float:
+    """The largest length of a part of the objects' twists."""
+    twists = (motion.twist[:, part] for motion in run.objects.values())
+    return _largest(*(np.linalg.norm(twist, axis=1) for twist in twists))
 
 
 def _share(limit: str) -> Known:
@@ -200,20 +207,22 @@ def _statistic(name: str, words: str) -> Known:
     return Known("1", words, number)
 
 
+OF_ONE_OBJECT = ("final_x", "final_y", "final_z")
+"""Quantities of scenes with one object."""
 _POSE = "at the end, from where the control leads it, or from the start where it has no path"
 KNOWN = {
     "final_position_error": Known("m", f"distance of the object {_POSE}", _position_error),
     "final_rotation_error": Known("rad", f"turn of the object {_POSE}", _rotation_error),
-    **{f"final_{name}": _final(axis) for axis, name in enumerate("xyz")},
+    **{name: _final(axis) for axis, name in enumerate(OF_ONE_OBJECT)},
     "largest_speed": Known(
         "m/s",
-        "of the object's centre of mass",
-        lambda run: _largest(np.linalg.norm(run.object_twist[:, :3], axis=1)),
+        "of an object's centre of mass",
+        lambda run: _largest_of_objects(run, slice(0, 3)),
     ),
     "largest_turn_rate": Known(
         "rad/s",
-        "of the object",
-        lambda run: _largest(np.linalg.norm(run.object_twist[:, 3:], axis=1)),
+        "of an object",
+        lambda run: _largest_of_objects(run, slice(3, 6)),
     ),
     "largest_contact_force": Known(
         "N",

@@ -56,7 +56,8 @@ if TYPE_CHECKING:
 
 
 PALETTE = ("#4a80c9", "#f08a45", "#4fa36a", "#9b6bc2", "#d9596a", "#2fa3a8", "#d3a62f", "#7a8797")
-OBJECT_COLOR, OBJECT_OPACITY = np.array([0.94, 0.78, 0.60]), 0.5
+OBJECT_PALETTE = ("#f0c799", "#a9c8e8", "#b9d8a6", "#d9b8e0", "#e8b4b0", "#b8dcd8")
+OBJECT_OPACITY = 0.5
 MOST_FRAMES = 6000
 
 
@@ -75,7 +76,8 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
     colors = colors_of(system)
     poses = BodyPoses(system, trajectory, rows)
     links, feet, floors = _robots(system, poses.configurations, colors, Shapes(meshes))
-    bodies = [_object(trajectory, rows), *links]
+    objects = _objects(trajectory, rows)
+    bodies = [*objects, *links]
     grasp = None if missing else scene_grasp(system)  # regions depend on all contacts
     if grasp is not None:
         bodies += region_bodies(grasp, trajectory, rows, colors)
@@ -99,6 +101,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         note="; ".join([*notes, *missing]),
         event_places=event_places(trajectory, trajectory.time[rows], contacts),
         events=trajectory.events,
+        objects=len(objects),
     )
 
 
@@ -204,20 +207,18 @@ def _robots(
     return bodies, feet, floors
 
 
-def _object(trajectory: Trajectory, rows: np.ndarray) -> Body:
-    spec = trajectory.scene.one_object("a replay")
-    color, opacity = OBJECT_COLOR, OBJECT_OPACITY
-    if spec.color is not None:
-        color = np.array(spec.color[:3])
-        opacity = spec.color[3] if spec.color[3] < 1 else OBJECT_OPACITY
-    return Body(
-        "object",
-        object_mesh(spec),
-        trajectory.object_position[rows],
-        trajectory.object_quaternion_xyzw[rows],
-        color,
-        opacity,
-    )
+def _objects(trajectory: Trajectory, rows: np.ndarray) -> list[Body]:
+    """Return the objects, in the colours of the scene, or in different ones."""
+    bodies, motions = [], trajectory.objects
+    for place, (name, spec) in enumerate(trajectory.scene.all_objects.items()):
+        color, opacity = rgb(OBJECT_PALETTE[place % len(OBJECT_PALETTE)]), OBJECT_OPACITY
+        if spec.color is not None:
+            color = np.array(spec.color[:3])
+            opacity = spec.color[3] if spec.color[3] < 1 else OBJECT_OPACITY
+        path = f"objects/{name}" if len(motions) > 1 else "object"
+        poses = motions[name].position[rows], motions[name].quaternion_xyzw[rows]
+        bodies.append(Body(path, object_mesh(spec), *poses, color, opacity))
+    return bodies
 
 
 # Joints that are drawn as one thing on the object; a cross has two axles.
@@ -285,14 +286,15 @@ UPRIGHT = 0.99  # vertical part of a base's axis z, at least
 def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list[Body]:
     """Return the floor at some samples (`rows`) as a fixed body; an empty list without a floor.
 
-    ``size`` is about half that of the object [m].  An unbounded floor is drawn below the whole path
-    of the object with a margin.
+    ``size`` is about half that of the largest object [m].  An unbounded floor is drawn below the
+    whole paths of the objects with a margin.
     """
     spec = trajectory.scene.effects.floor
     if spec is None:
         return []
     pose = spec.at.matrix()
-    over = (trajectory.object_position - pose[:3, 3]) @ pose[:3, :3]
+    paths = np.concatenate([motion.position for motion in trajectory.objects.values()])
+    over = (paths - pose[:3, 3]) @ pose[:3, :3]
     middle, sides = np.zeros(3), np.zeros(3)
     if spec.size is None:
         low, high = over.min(axis=0), over.max(axis=0)
@@ -337,6 +339,8 @@ REGION_LIFT = 1e-3
 
 def scene_grasp(system: System) -> SceneGrasp | None:
     """The grasp at the start if it has regions to show; else None."""
+    if len(system.model.layout.objects) > 1:  # a grasp is of one object
+        return None
     if not any(contact.pushes_only for contact in chain(*system.contacts.values())):
         return None
     try:

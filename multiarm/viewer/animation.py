@@ -101,13 +101,14 @@ class Animation:
 
     title: str
     time: np.ndarray  # of each frame [s], increasing, shape (K,)
-    bodies: list[Body]  # the first is the common object
+    bodies: list[Body]  # the objects are the first ones
     contacts: list[ContactTracks] = field(default_factory=list)
     hinges: list[HingeTracks] = field(default_factory=list)
     floor: float = 0.0  # its height [m]
     note: str = ""  # shown in the viewer, such as why the run ended early
     event_places: list[EventPlace] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)  # as in `Trajectory.events`
+    objects: int = 1  # number of the objects
 
     @property
     def peak_force(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from multiarm.viewer.animation import rotations
 if TYPE_CHECKING:
     from multiarm.dynamics.state import State
     from multiarm.dynamics.system import System
-    from multiarm.results.trajectory import BaseChannels, Trajectory
+    from multiarm.results.trajectory import FrameChannels, Trajectory
 
 
 class BodyPoses:
@@ -41,11 +41,9 @@ class BodyPoses:
             name: np.array([arm.configuration(*at) for at in self._states_of(name)])
             for name, arm in system.arms.items()
         }
-        system.scene.one_object("a replay")
-        poses = np.tile(np.eye(4), (len(rows), 1, 1))
-        poses[:, :3, :3] = rotations(trajectory.object_quaternion_xyzw[rows])
-        poses[:, :3, 3] = trajectory.object_position[rows]
-        self._of_bodies = {object_named(name): poses for name in system.scene.all_objects}
+        self._of_bodies = {
+            object_named(name): _poses(motion, rows) for name, motion in trajectory.objects.items()
+        }
 
     def of(self, body: BodyName) -> np.ndarray:
         """World poses of a body, of a link those of its tip, shape (K, 4, 4)."""
@@ -64,7 +62,15 @@ class BodyPoses:
         return zip(self._angles[robot], self._bases[robot], strict=True)
 
 
-def _base_motions(base: BaseChannels, rows: np.ndarray) -> list[FrameMotion | None]:
+def _poses(motion: FrameChannels, rows: np.ndarray) -> np.ndarray:
+    """Poses of a frame at some samples, shape (K, 4, 4)."""
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3, :3] = rotations(motion.quaternion_xyzw[rows])
+    poses[:, :3, 3] = motion.position[rows]
+    return poses
+
+
+def _base_motions(base: FrameChannels, rows: np.ndarray) -> list[FrameMotion | None]:
     poses = np.hstack([base.position[rows], base.quaternion_xyzw[rows]])
     return [FrameMotion(pose, twist) for pose, twist in zip(poses, base.twist[rows], strict=True)]
 
@@ -72,16 +78,16 @@ def _base_motions(base: BaseChannels, rows: np.ndarray) -> list[FrameMotion | No
 def positions_at(trajectory: Trajectory, row: int) -> dict[str, Any]:
     """Arguments of :meth:`multiarm.System.state` for the positions of a sample."""
     return {
-        "object_position": trajectory.object_position[row],
-        "object_quaternion_xyzw": trajectory.object_quaternion_xyzw[row],
+        "objects": _placed(trajectory.objects, row),
         "joint_positions": {name: q[row] for name, q in trajectory.joint_positions.items()},
-        "bases": {
-            name: {
-                "position": base.position[row],
-                "quaternion_xyzw": base.quaternion_xyzw[row],
-            }
-            for name, base in trajectory.bases.items()
-        },
+        "bases": _placed(trajectory.bases, row),
+    }
+
+
+def _placed(motions: Mapping[str, FrameChannels], row: int) -> dict[str, dict[str, np.ndarray]]:
+    return {
+        name: {"position": motion.position[row], "quaternion_xyzw": motion.quaternion_xyzw[row]}
+        for name, motion in motions.items()
     }
 
 
@@ -92,6 +98,7 @@ def pose_at(system: System, state: State, body: BodyName) -> np.ndarray:
         return system.arms[body.robot].tip_pose(positions, body.tip, base)
     pose = np.eye(4)
     if body.is_object:
-        pose[:3, :3] = quaternion_to_matrix(state.object_quaternion_xyzw)
-        pose[:3, 3] = state.object_position
+        motion = state.objects[body.tip]
+        pose[:3, :3] = quaternion_to_matrix(motion.quaternion_xyzw)
+        pose[:3, 3] = motion.position
     return pose

@@ -110,11 +110,11 @@ def row_states(
 
 
 def rows_of(system: System, owner: str) -> range:
-    """Rows of W of an arm, a connection, a robot, or of the object's own contacts."""
+    """Rows of W of an arm, a connection, a robot, or of an object's own contacts."""
     layout = system.model.layout
-    rows = layout.surroundings
-    if owner in layout.owners:
-        rows = layout.contacts_of(layout.owners.index(owner))
+    if owner not in layout.owners:
+        return range(layout.contacts, layout.contacts)
+    rows = layout.contacts_of(layout.owners.index(owner))
     return range(rows.start, rows.stop)
 
 
@@ -163,9 +163,10 @@ def surface_bodies(
     """Return the contact surfaces of joints that are drawn so at the samples of some poses.
 
     Those of other kinds only serve to define a hinge.
-    Plane faces of the object are included if ``faces`` is true.
+    Plane faces of objects are included if ``faces`` is true.
     """
-    extent = max(np.ptp(trajectory.object_position, axis=0).max(), object_size(system))
+    ways = [np.ptp(motion.position, axis=0).max() for motion in trajectory.objects.values()]
+    extent = max(*ways, object_size(system))
     bodies = []
     for joint in system.scene.joints:
         if joint.drawn_as != "surfaces":
@@ -177,8 +178,7 @@ def surface_bodies(
         states = row_states(trajectory, name, records, poses.rows)
         for (side, *_), on_surface in _surfaces(records).items():
             k = on_surface[0]
-            on_object = sides[side].is_object
-            if on_object and not faces and records[k].object.kind == PLANE:
+            if sides[side].is_object and not faces and getattr(records[k], side).kind == PLANE:
                 continue
             mesh = surface_mesh(getattr(records[k], side), touched[side][k], extent)
             if mesh is None:
@@ -276,5 +276,5 @@ def _touched(system: System, name: str, sides: Mapping[str, BodyName]) -> dict[s
 
 def object_size(system: System) -> float:
     """Return the largest radius of gyration of an object [m], about its half size."""
-    objects = system.scene.all_objects.values()
-    return max(float(np.sqrt(np.trace(body.inertia_matrix()) / body.mass)) for body in objects)
+    specs = system.scene.all_objects.values()
+    return float(np.sqrt(max(np.trace(spec.inertia_matrix()) / spec.mass for spec in specs)))

@@ -350,5 +350,6 @@ def _turns_of_z(axes: np.ndarray) -> np.ndarray:
 
 
 def _object_size(animation: Animation) -> float:
-    """Return the diagonal of the object's bounding box [m]."""
-    return float(np.linalg.norm(np.ptp(animation.bodies[0].mesh.bounds(), axis=0)))
+    """Return the shortest diagonal of the objects' bounding boxes [m]."""
+    objects = animation.bodies[: animation.objects]
+    return min(float(np.linalg.norm(np.ptp(body.mesh.bounds(), axis=0))) for body in objects)

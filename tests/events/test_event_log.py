@@ -42,7 +42,9 @@ from multiarm.results.trajectory import load_trajectory
 CORNERS = ("corner_1", "corner_2")
 EFFECTS = ("joint_damping", "drag")
 STATES = {"right": CONTACTS["right"], "floor": CORNERS}
-FULL = trajectory_channels(JOINTS, CONTACTS, works=EFFECTS, states=STATES, environment=CORNERS)
+FULL = trajectory_channels(
+    JOINTS, CONTACTS, works=EFFECTS, states=STATES, environment={"floor": CORNERS}
+)
 OLD_KINDS = (
     "pulls", "pushes again", "leaves its patch", "is back on its patch", "passes its limit",
     "is back within its limit",
@@ -100,7 +102,7 @@ def marks(axes):
 
 
 def test_runs_without_such_contacts_have_the_channels_they_had():
-    assert trajectory_channels(JOINTS, CONTACTS, None, (), {}, (), True) == CHANNELS
+    assert trajectory_channels(JOINTS, CONTACTS, None, (), {}, {}, True) == CHANNELS
     assert not [c.name for c in CHANNELS if "state" in c.name or "environment" in c.name]
 
 
@@ -146,7 +148,7 @@ def test_without_a_floor_it_is_an_unknown_arm():
 
 def test_an_arm_that_is_called_floor_keeps_its_own_forces():
     channels = trajectory_channels(
-        {"floor": {"slide": "m"}}, {"floor": ["a"]}, environment=["corner", "other"]
+        {"floor": {"slide": "m"}}, {"floor": ["a"]}, environment={"floor": ["corner", "other"]}
     )
     sink = MemorySink()
     sink.open(channels, {"scene": ""})
@@ -329,7 +331,7 @@ def test_strip_has_a_row_for_each_contact_that_has_states():
 def test_strip_of_very_many_contacts_says_how_many_are_left_out():
     corners = [f"corner_{i}" for i in range(MOST_ROWS + 9)]
     states = {"floor": corners}
-    channels = trajectory_channels(JOINTS, CONTACTS, states=states, environment=corners)
+    channels = trajectory_channels(JOINTS, CONTACTS, states=states, environment={"floor": corners})
     sink, block = MemorySink(), samples(step=0.1)
     for name in ("contact_state", "contact_force"):
         block[f"environment/{name}"] = np.full(
@@ -474,7 +476,11 @@ def test_hostile_names_of_events_and_contacts_are_text():
     hostile = [attack, "$\\bad$"]
     events = [event(1.0, attack, attack, attack, before={attack: attack})]
     channels = trajectory_channels(
-        JOINTS, CONTACTS, works=EFFECTS, states={**STATES, "floor": hostile}, environment=hostile
+        JOINTS,
+        CONTACTS,
+        works=EFFECTS,
+        states={**STATES, "floor": hostile},
+        environment={"floor": hostile},
     )
     page = Page(render(eventful(events, channels)))
     assert "script" not in page.tags
@@ -502,7 +508,10 @@ def test_report_says_whose_the_largest_forces_are_and_when():
     block = samples(step=0.5)
     block["environment/contact_force"] = np.full((len(block["time"]), 2), 1e3)
     block["environment/wrench"] = np.outer(block["time"], [0.0, 0.0, 400.0, 0.0, 0.0, 0.0])
-    sink, channels = MemorySink(), trajectory_channels(JOINTS, CONTACTS, environment=CORNERS)
+    sink, channels = (
+        MemorySink(),
+        trajectory_channels(JOINTS, CONTACTS, environment={"floor": CORNERS}),
+    )
     sink.open(channels, {"scene": SCENE})
     sink.append(rows_of(channels, block))
     text = Page(render(sink.finish("completed", "", {}))).text.lower()

@@ -89,21 +89,23 @@ def test_decimating_a_long_file_needs_little_memory(tmp_path):
 def test_rotation_since_the_start_counts_whole_turns():
     axis, angle = np.array([2.0, -1.0, 2.0]) / 3, np.linspace(0, 5.5 * np.pi, 2000)
     run = spinning_run(angle, axis)
-    rotation = decimate(run, ["object/quaternion_xyzw"], RotationSinceStart(run), points=10_000)[1]
+    since_start = RotationSinceStart(run.object_quaternion_xyzw[:1])
+    rotation = decimate(run, ["object/quaternion_xyzw"], since_start, points=10_000)[1]
     assert np.allclose(rotation, np.outer(angle, axis), atol=1e-12)
 
 
 def test_rotation_there_and_back_ends_where_it_began():
     angle = 3.5 * np.pi * np.sin(np.linspace(0, np.pi, 1000)) ** 2
     run = spinning_run(angle, np.array([0.0, 0.6, 0.8]))
-    rotation = RotationSinceStart(run)(run.object_quaternion_xyzw)
+    quaternions = run.object_quaternion_xyzw
+    rotation = RotationSinceStart(quaternions[:1])(quaternions)
     assert np.allclose(np.linalg.norm(rotation, axis=1), angle, atol=1e-12)
 
 
 def test_rotation_does_not_depend_on_the_blocks():
     run = spinning_run(np.linspace(0, 20, 1000), np.array([0.0, 0.0, 1.0]))
     quaternions = run.object_quaternion_xyzw
-    whole, pieces = RotationSinceStart(run), RotationSinceStart(run)
+    whole, pieces = (RotationSinceStart(quaternions[:1]) for _ in range(2))
     parts = [pieces(quaternions[i : i + 70]) for i in range(0, 1000, 70)]
     assert np.array_equal(np.concatenate(parts), whole(quaternions))
 
