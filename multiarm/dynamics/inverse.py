@@ -45,7 +45,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
-from multiarm.dynamics.model import Model, require_no_floating_base
+from multiarm.dynamics.model import Model, require_no_floating_base, require_one_object
 from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
@@ -128,6 +128,7 @@ def inverse_dynamics(
     """
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
     require_no_floating_base(system.model, "torques for a desired motion are not computed there")
+    require_one_object(system.model, "torques are computed for the desired motion of one")
     t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
     relative = _relative_accelerations(

@@ -18,7 +18,7 @@ solution of :math:`W^T K_0 = -\dot G E_p`, less its own part in :math:`\zeta`:
 
 *The choice.*  A QR decomposition with column pivoting picks the rows of N one after the other, each
 the one that is most independent of those before it.  Rows are weighted by the square root of their
-inertia, those of the object ten times more, so that its coordinates are preferred to joints.
+inertia, those of objects ten times more, so that their coordinates are preferred to joints.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from multiarm.dynamics.sensitivity import Motions
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 
-# Weight of the object's coordinates against joints.
+# Weight of objects' coordinates against joints.
 PREFERENCE = 10.0
 
 
@@ -43,12 +43,12 @@ class Coordinates:
     Attributes
     ----------
     positions, velocities : tuple of int
-        Which components of the displacement and of the velocities they are, p and m of ``6 + n``.
-    displacement : ndarray, shape (6 + n, p)
+        Which components of the displacement and of the velocities they are, p and m of ``6 F + n``.
+    displacement : ndarray, shape (6 F + n, p)
         ``E_p``.
-    velocity : ndarray, shape (6 + n, m)
+    velocity : ndarray, shape (6 F + n, m)
         ``E_v``.
-    turning : ndarray, shape (6 + n, p)
+    turning : ndarray, shape (6 F + n, p)
         ``K``: what displacements change of the velocities; zero at rest.
     """
 

@@ -184,7 +184,7 @@ class _Reduced(NamedTuple):
     J: np.ndarray  # (m, p)
     scale: np.ndarray  # (p, p): displacements of the coordinates by those that J is for
     hessian: np.ndarray  # (m, m): of the potential, by displacements along velocities
-    moves: np.ndarray  # (6 + n, m): displacements by those that the hessian is for
+    moves: np.ndarray  # (6 F + n, m): displacements by those that the hessian is for
 
 
 class _Search:

@@ -43,8 +43,8 @@ from multiarm.scene.faults import unknown
 
 __all__ = ["LinearSystem", "linearise"]
 
-# Components of a displacement of the object.
-OBJECT = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
+# Components of a displacement of an object.
+OF_OBJECT = ("x", "y", "z", "turn_x", "turn_y", "turn_z")
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,12 +60,13 @@ class LinearSystem:
     A, B, C, D : ndarray, shapes (s, s), (s, n), (o, s), (o, n)
         States are displacements, velocities and states of effects; inputs are torques [N m] or
         forces [N] that are added to those of the control; outputs are changes of all displacements
-        (object: shift [m] and rotation vector [rad] in world axes; joints [rad, m]), of all
+        (objects: shift [m] and rotation vector [rad] in world axes; joints [rad, m]), of all
         velocities, and of the contact forces [N] that are unique.
     rate : ndarray, shape (s,)
         ``y'`` at the state itself; zero at an equilibrium.
     state_names, input_names, output_names : tuple of str
-        Such as ``object/turn_z``, ``object/turn_z'`` for its rate, ``left/elbow_joint``.
+        Such as ``object/turn_z``, ``object/turn_z'`` for its rate, ``left/elbow_joint``; of an
+        object below ``objects:`` with its name, ``beam/turn_z``.
     """
 
     system: System
@@ -105,7 +106,7 @@ class LinearSystem:
 
     @property
     def largest_acceleration(self) -> float:
-        """Of the object [m/s^2, rad/s^2] or a joint [rad/s^2, m/s^2] at the state itself."""
+        """Of an object [m/s^2, rad/s^2] or a joint [rad/s^2, m/s^2] at the state itself."""
         return float(np.abs(self.derivatives.evaluation.accelerations).max())
 
     @cached_property
@@ -222,7 +223,7 @@ def linearise(
 ) -> LinearSystem:
     """Linearise a system near a state, in minimal coordinates.
 
-    The coordinates are components of the object's displacement, or joints, as many as the joints
+    The coordinates are components of the objects' displacements, or joints, as many as the joints
     leave free, and their rates (:mod:`multiarm.linear.linearisation`).
 
     >>> linear = ma.linearise(system)
@@ -262,7 +263,8 @@ def linearise(
     first_force = D.rows["contact_forces"].start
     forces = np.r_[D.rows["contact_forces"]]
     forces = forces[np.isfinite(D.matrix[forces]).all(axis=1)]
-    names = [f"object/{component}" for component in OBJECT] + system.model.joint_names
+    names = [f"{name}/{component}" for name in layout.objects for component in OF_OBJECT]
+    names += system.model.joint_names
     return LinearSystem(
         system=system,
         derivatives=D,

@@ -47,8 +47,8 @@ class Mode:
     ----------
     eigenvalue : complex
         [1/s]; of a conjugate pair the one above the real axis.
-    shape : ndarray of complex, shape (6 + n,)
-        Displacements of object (shift [m] and rotation vector [rad], world axes) and joints
+    shape : ndarray of complex, shape (6 F + n,)
+        Displacements of objects (shift [m] and rotation vector [rad], world axes) and joints
         [rad, m]; the largest is 1.
     moving : tuple of str
         The components that move most, such as ``object/z``.
@@ -96,7 +96,7 @@ def natural_modes(
     Parameters
     ----------
     A, B : ndarray, shapes (s, s), (s, n)
-    displacements : ndarray, shape (6 + n, s)
+    displacements : ndarray, shape (6 F + n, s)
         Displacements of a state of the linear system.
     names : sequence of str
         Of the displacements.

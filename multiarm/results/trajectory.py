@@ -69,7 +69,8 @@ class Store(Protocol):
 class _MissingNameError(TrajectoryError, KeyError):
     """A KeyError whose text is a sentence."""
 
-    __str__ = TrajectoryError.__str__
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 class ByArm(Mapping[str, np.ndarray]):

@@ -20,6 +20,7 @@ import numpy as np
 from multiarm.control.harmonic import harmonic
 from multiarm.dynamics.equations import evaluate_state, update_kinematics
 from multiarm.dynamics.failures import require_ok
+from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
@@ -170,6 +171,7 @@ class Peer(ABC):
     methods: ClassVar[Mapping[str, str]]
 
     def __init__(self, system: System):
+        require_one_object(system.model, "another program's model of a scene has one")
         self.system, self.damping = system, joint_damping(system)
 
     @abstractmethod

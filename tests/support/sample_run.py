@@ -93,6 +93,42 @@ def record(sink, blocks=None, status="completed", message="", metadata=None, **r
     return sink.finish(status, message, results.pop("statistics", STATISTICS), **results)
 
 
+OBJECTS = ("beam", "plate")
+CORNERS = {"floor/beam": ["corner_1", "corner_2"], "floor/plate": ["corner_1"]}
+CHANNELS_OF_TWO = trajectory_channels(
+    JOINTS, CONTACTS, environment=CORNERS, controlled=True, objects=OBJECTS
+)
+
+
+def samples_of_two(shift=(0.0, 0.0, 0.0), turn=0.0):
+    """The pendulum as `beam`, and a plate that goes half as far, moved and turned about z."""
+    block = samples()
+    position = block.pop("object/position")
+    quaternion, twist = block.pop("object/quaternion_xyzw"), block.pop("object/twist")
+    rest = np.tile([0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)], (len(position), 1))
+    block |= {
+        "objects/beam/position": position,
+        "objects/beam/quaternion_xyzw": quaternion,
+        "objects/beam/twist": twist,
+        "objects/plate/position": 0.5 * position + shift,
+        "objects/plate/quaternion_xyzw": rest,
+        "objects/plate/twist": 0.5 * twist * [1, 1, 1, 0, 0, 0],
+    }
+    time = block["time"]
+    for owner, names in CORNERS.items():
+        path = owner.replace("floor", "environment")
+        block[f"{path}/contact_force"] = np.outer(time, np.arange(1.0, len(names) + 1))
+        block[f"{path}/wrench"] = np.outer(time, [0.0, 0.0, len(names), 0.0, 0.0, 0.0])
+    return block
+
+
+def record_two(sink, block=None, **results):
+    """A run with two objects."""
+    sink.open(CHANNELS_OF_TWO, {"scene": SCENE})
+    sink.append(rows_of(CHANNELS_OF_TWO, samples_of_two() if block is None else block))
+    return sink.finish("completed", "", STATISTICS, **results)
+
+
 def earlier_run(run):
     """The run as a version has it that did not record wrenches, tips and powers."""
     later = ("wrench", "tip_position", "tip_quaternion_xyzw", "tip_twist", "control_power")

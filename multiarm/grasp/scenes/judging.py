@@ -17,6 +17,7 @@ import numpy as np
 
 from multiarm.dynamics.contact_geometry import contact_places
 from multiarm.dynamics.evaluation import Evaluation
+from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import GraspError
@@ -139,7 +140,10 @@ def read_grasp(system: System, state: State | None = None) -> SceneGrasp:
     ------
     GraspError
         When no row of the scene's joints is a contact in a point.
+    ModelError
+        When there are several objects.
     """
+    require_one_object(system.model, "a grasp is that of one")
     state = system.initial_state() if state is None else state
     with system.borrow() as data:
         points, normals = contact_places(data, state)
