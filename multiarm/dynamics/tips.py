@@ -18,7 +18,8 @@ from multiarm.scene.faults import counted
 class _UnknownArmError(ModelError, KeyError):
     """A KeyError whose text is a sentence."""
 
-    __str__ = ModelError.__str__
+    def __str__(self) -> str:
+        return str(self.args[0])
 
 
 class _Tips(dict[str, TipKinematics]):
