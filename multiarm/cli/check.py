@@ -45,9 +45,9 @@ def check(
     code is then 2. Functions and classes that the scene names are not loaded; what needs them is
     left out. What each effect costs and changes, **multiarm effects** measures.
 
-    The JSON has the keys scene, gravity, object, arms, robots, joints, freedom, coming_and_going,
-    effects, control, run, start, position_residual, velocity_residual, residuals, carrying,
-    warnings, not_looked_at; their meaning and units are those of
+    The JSON has the keys scene, gravity, object, objects, arms, robots, joints, freedom,
+    coming_and_going, effects, control, run, start, position_residual, velocity_residual, residuals,
+    carrying, warnings, not_looked_at; their meaning and units are those of
     multiarm.simulation.inspection.Inspection.
     Numbers are finite, or null where there is none.
     """
@@ -179,7 +179,7 @@ def _terms(arm: ArmFacts | RobotFacts) -> Text:
 def _joints(inspection: Inspection) -> RenderableType:
     """The joints of the scene: by arms where all are between an arm and the object."""
     joints = inspection.joints
-    if not inspection.robots:
+    if inspection.object is not None and not inspection.robots:
         return columns(
             "Joints to the object (z: the joint's axis or normal)",
             ("arm", "kind", "rows", "free motions", "contacts"),
@@ -188,14 +188,14 @@ def _joints(inspection: Inspection) -> RenderableType:
     return columns(
         "Connections (forces act on the second body; z: the joint's axis or normal)",
         ("connection", "kind", "rows", "free motions", "contacts"),
-        [(_bodies(joint), *_joint(joint)[1:]) for joint in joints],
+        [(_bodies(joint, len(inspection.objects) < 2), *_joint(joint)[1:]) for joint in joints],
     )
 
 
-def _bodies(joint: JointFacts) -> str:
+def _bodies(joint: JointFacts, one_object: bool) -> str:
     """Name of a joint in results, and the bodies where the name does not have both."""
     if joint.arm is not None:
-        return joint.connection
+        return joint.connection if one_object else f"{joint.connection}-\n{joint.second}"
     if joint.connection == f"{joint.first}-{joint.second}":
         return f"{joint.first}-\n{joint.second}"
     return f"{joint.connection}:\n{joint.first},\n{joint.second}"
@@ -229,9 +229,10 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     cut = f"smallest relative singular value {number(smallest)}"
     if dropped is not None:
         cut += f", next {number(dropped)}"
-    bases = "6 of each floating base, " if freedom.floating_bases else ""
+    parts = ["6 of the object" if freedom.objects == 1 else "6 of each object"]
+    parts += ["6 of each floating base"] if freedom.floating_bases else []
     rows: dict[str, RenderableType] = {
-        "degrees of freedom": f"{freedom.degrees_of_freedom} (6 of the object, {bases}one a joint)",
+        "degrees of freedom": f"{freedom.degrees_of_freedom} ({', '.join(parts)}, one a joint)",
         "constraints": f"{freedom.constraints}, of which {freedom.rank} are independent ({cut})",
         "mobility": Text(str(freedom.mobility), "bold"),
     }
@@ -248,13 +249,14 @@ def _start(inspection: Inspection, start: StartReport) -> dict[str, RenderableTy
     left = inspection.residuals
     assert left is not None, "a start has been evaluated"
     robots = "robots" if inspection.robots else "arms"
+    objects = "objects" if len(inspection.objects) > 1 else "object"
     rows: dict[str, RenderableType] = {
         "gaps as written": _by_arm(start.gaps, "m"),
         "gap rates as written": _by_arm(start.gap_rates, "m/s"),
         "corrections": "\n".join(start.lines()) or "none",
         "left after them": f"gap {number(inspection.position_residual, 'm')}, "
         f"rate {number(inspection.velocity_residual, 'm/s')}",
-        "residuals of the equations": f"{robots} {number(left.arm, 'N m')}, object "
+        "residuals of the equations": f"{robots} {number(left.arm, 'N m')}, {objects} "
         f"{number(left.object, 'N')}, constraints {number(left.constraint, 'm/s^2')}",
     }
     rows |= carrying_rows(inspection.carrying)

@@ -1,9 +1,9 @@
 r"""Inspection: what a scene compiles to, in numbers, without a run.
 
-The parts (the object and all joints) have :math:`6 + \sum n_i` degrees of freedom.  The contacts
+The parts (F objects and all joints) have :math:`6 F + \sum n_i` degrees of freedom.  The contacts
 remove as many as the rank of the stacked constraint matrix :math:`[W_o; W]`,
 
-.. math:: \text{mobility} = 6 + \sum n_i - \operatorname{rank} [W_o; W],
+.. math:: \text{mobility} = 6 F + \sum n_i - \operatorname{rank} [W_o; W],
 
 and contacts beyond the rank are redundant: the motion does not determine their forces.  A joint by
 itself leaves the motions free that its own rows do not constrain, given in the axes of its frame.
@@ -148,7 +148,8 @@ class JointFacts:
 class Freedom:
     """Degrees of freedom of the system at its start."""
 
-    degrees_of_freedom: int  # of the parts: 6 of the object and of every floating base, one a joint
+    degrees_of_freedom: int  # of the parts: 6 of every object and floating base, one a joint
+    objects: int
     floating_bases: int
     constraints: int
     rank: int
@@ -270,12 +271,13 @@ def count_freedom(data: Data) -> Freedom:
 
     All rows are closed, see :meth:`multiarm.dynamics.data.Data.closed`.
     """
-    matrix = constraint_matrix(data)  # (6 + n, N)
+    matrix = constraint_matrix(data)  # (6 F + n, N)
     space = null_space(matrix)
     rank, singular = space.rank, space.singular
     names = [f"{arm}: {c.name}" for arm, contacts in data.model.contacts.items() for c in contacts]
     return Freedom(
         degrees_of_freedom=matrix.shape[0],
+        objects=data.model.layout.frames,
         floating_bases=len(data.model.layout.floating_robots),
         constraints=matrix.shape[1],
         rank=rank,
