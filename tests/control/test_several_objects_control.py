@@ -155,20 +155,11 @@ def test_the_spring_takes_the_object_that_it_names_to_the_end_of_its_path():
 @pytest.mark.parametrize(
     ("control", "place"),
     [
-        ({key: value for key, value in SPRING.items() if key != "object"}, "$.control.object"),
         ({**SPRING, "object": "plank"}, "$.control.object"),
         ({**SPRING, "squeeze": 20.0}, "$.control.squeeze"),
-        ({"kind": "computed_torque"}, "$.control.kind"),
-        (
-            {
-                "kind": "joint_pd", "stiffness": 100.0, "damping": 10.0,
-                "path": [{"time": 1.0, "xyz": [0, 0, 1]}],
-            },
-            "$.control.path",
-        ),
     ],
-    ids=["not named", "unknown", "squeeze", "computed torque", "path of joints"],
-)  # fmt: skip
+    ids=["unknown", "squeeze"],
+)
 def test_controls_that_do_not_say_which_object_are_refused(control, place):
     with refused(SceneError, place):
         parse_scene(two_boxes(WELD, control=control))

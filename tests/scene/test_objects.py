@@ -310,7 +310,6 @@ def test_effects_that_name_no_object_are_refused(effects, place):
 @pytest.mark.parametrize(
     ("control", "place"),
     [
-        ("gravity_compensation", "$.control.kind"),
         ("computed_torque", "$.control.kind"),
         (
             {
@@ -318,22 +317,11 @@ def test_effects_that_name_no_object_are_refused(effects, place):
                 "stiffness": {"translation": 1, "rotation": 1},
                 "damping": {"translation": 1, "rotation": 1},
             },
-            "$.control.kind",
+            "$.control.object",
         ),
-        (PD, "$.control.gravity_compensation"),
-        (
-            {**PD, "gravity_compensation": False, "path": [{"time": 1, "xyz": [0, 0, 1]}]},
-            "$.control.path",
-        ),
-        ({"kind": "harmonic", "amplitude": {"left": 1}, "frequency": 1}, "$.control.hold"),
-        (
-            {"kind": "recorded", "file": "a.csv", "quantity": "position", **{
-                key: PD[key] for key in ("stiffness", "damping")
-            }},
-            "$.control.gravity_compensation",
-        ),
+        ({**PD, "path": [{"time": 1, "xyz": [0, 0, 1]}]}, "$.control.path"),
     ],
-    ids=["carry", "torque", "impedance", "pd", "path", "harmonic", "recorded"],
+    ids=["torque", "impedance", "path"],
 )  # fmt: skip
 def test_control_for_one_object_is_refused_where_there_are_several(control, place):
     with refused(SceneError, place):
