@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from tree_models import OBJECT, TreeScene, TreeState
+from tree_models import TreeScene, TreeState
 from tree_oracle import Motions, solve_minimal
 
 import multiarm as ma
@@ -140,14 +140,9 @@ def far_apart(first: TreeState, second: TreeState) -> float:
 
 
 def tree_state(run: ma.Trajectory, k: int) -> TreeState:
-    """Sample ``k`` of a trajectory of a scene with one object."""
-    held = {
-        "position": run.object_position[k],
-        "quaternion_xyzw": run.object_quaternion_xyzw[k],
-        "twist": run.object_twist[k],
-    }
+    """Sample ``k`` of a trajectory."""
     return TreeState(
-        {OBJECT: held},
+        _sampled(run.objects, k),
         {name: q[k] for name, q in run.joint_positions.items()},
         {name: v[k] for name, v in run.joint_velocities.items()},
         _sampled(run.bases, k),
