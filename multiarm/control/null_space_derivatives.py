@@ -123,7 +123,8 @@ def differentiate_holds(i, law, command, feedforward, model, data, work, derivat
 def write_links(i, data, derivatives):
     """Write the motion of a robot's links with the rates and accelerations in the work."""
     links, arm = open_links(derivatives.excess), open_equations(derivatives.excess)
-    write_motions(links, i, data.state.joint_positions, arm.v, arm.a_j, arm.links)
+    state = data.state
+    write_motions(links, i, state.base_poses, state.joint_positions, arm.v, arm.a_j, arm.links)
 
 
 @inlined

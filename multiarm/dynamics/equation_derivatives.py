@@ -45,7 +45,6 @@ from multiarm.dynamics.coordinates import (
 )
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import TWIST, Layout
-from multiarm.dynamics.model import require_no_floating_base
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
@@ -189,7 +188,6 @@ def equation_work(
     """
     key = ("equation work", columns, placements, masses, weights)
     if key not in data.cache:
-        require_no_floating_base(data.model, "there are no derivatives by its pose yet")
         structures = structures_of_blocks(data.model.robots.values(), data.model.layout)
         links = tree_links(structures, data.model.constants.gravity)
         if not (masses and weights):
@@ -317,7 +315,10 @@ def differentiate_block(i, model, data, system, links, work):
     for k in range(n + last - first):
         clear(dF[k])
     if has_joints:
-        write_motions(links, i, data.state.joint_positions, work.v, work.a_j, work.links)
+        state = data.state
+        write_motions(
+            links, i, state.base_poses, state.joint_positions, work.v, work.a_j, work.links
+        )
     for c in range(work.first_owner[i], work.first_owner[i + 1]):
         add_connection(i, c, columns, model, data, system, links, work)
     for k in range(model.joint_rows.row.size):

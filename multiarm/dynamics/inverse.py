@@ -22,6 +22,15 @@ once: with the object, with the world, where :math:`\dot v_o` is zero, and of it
 other, where it is that of the second link.  They keep its couplings and wheels too.  Contacts that
 do not act on the object carry nothing, nor do wheels: the drives do.
 
+*A floating base* has no drives: with its rows :math:`M_b, b_b, W_b` of the equations, and of its
+contacts those with the world apart, whose forces are :math:`\nu`,
+
+.. math:: M_b\ddot q + b_b - W_b\lambda = W_{b\nu}\,\nu, \qquad
+    Z^T (M_b\ddot q + b_b - W_b\lambda) = 0, \qquad Z^T W_{b\nu} = 0 .
+
+The second equation is one more for the accelerations: it says how the base moves in directions in
+which no joint with the world holds it.  The first one has the forces of least norm of these joints.
+
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
 CUHK 1995, section 3.10.
 """
@@ -45,15 +54,17 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
-from multiarm.dynamics.model import Model, require_no_floating_base, require_one_object
+from multiarm.dynamics.model import Model, require_one_object
 from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
+from multiarm.dynamics.solver.factors import rank_of
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
+from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
-from multiarm.scene.bodies import BodyName
+from multiarm.scene.bodies import WORLD, BodyName
 from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
 
@@ -68,9 +79,11 @@ class InverseDynamics:
         [N m, N]
     contact_forces : mapping connection -> ndarray, shape (N_i,)
         The resulting magnitudes [N]; positive pushes the object.  Zero for connections that do not
-        act on it.
+        act on it, but those of a floating base with the world: these carry what no drive can.
     joint_accelerations : mapping robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]
+    base_accelerations : mapping robot -> ndarray, shape (6,)
+        Of floating bases, world axes [m/s^2, rad/s^2].
     residuals : Residuals
         Of the equations of motion.  The residual of the constraints does not use the motion space:
         it is also large at a state that violates the joints.
@@ -79,6 +92,7 @@ class InverseDynamics:
     torques: Mapping[str, np.ndarray]
     contact_forces: Mapping[str, np.ndarray]
     joint_accelerations: Mapping[str, np.ndarray]
+    base_accelerations: Mapping[str, np.ndarray]
     residuals: Residuals
 
 
@@ -127,7 +141,6 @@ def inverse_dynamics(
         For an unknown robot or connection, or a wrong shape.
     """
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
-    require_no_floating_base(system.model, "torques for a desired motion are not computed there")
     require_one_object(system.model, "torques are computed for the desired motion of one")
     t, state = require_time(t), system.checked(state)
     desired = checked_vector("object_acceleration", object_acceleration, 6)
@@ -163,7 +176,13 @@ def _solve(
         d, r = layout.joints_of(i), layout.contacts_of_robot(i)
         M, W = robot_inertia(data, i), robot_matrix(data, i)
         A, a = _desired_motion(data, i, ev, desired, relative)
+        if i in layout.floating_robots:
+            base = _BaseBalance.of(M[:6], W[:6], _holds_base(data.model, name))
+            other = free[d][:6] + W[:6] @ force[r]
+            A, a = np.vstack([A, base.across @ M[:6]]), np.append(a, base.across @ other)
         a_j[d], left = _nearest(M, A, a, posture[name])
+        if i in layout.floating_robots:
+            force[r][base.carriers] = base.forces(M[:6] @ a_j[d] - other)
         if left > MISSED_MOTION * (1.0 + np.max(np.abs(a), initial=0.0)):
             missed.append(
                 f"{_noun(data.model, name)} '{name}' ({count_of(len(M), 'joint')}) misses it by "
@@ -182,8 +201,45 @@ def _solve(
         torques=layout.split_joints(torque),
         contact_forces=layout.split_contacts(force),
         joint_accelerations=layout.split_joints(a_j),
+        base_accelerations=layout.split_bases(a_j),
         residuals=residuals_of(data, acceleration, forces, force, c),
     )
+
+
+class _BaseBalance(NamedTuple):
+    """The equations of a floating base, which joints with the world hold or do not hold.
+
+    They are divided by the inertia of the base, so that all six are accelerations.
+    """
+
+    carriers: np.ndarray  # the rows of these joints among those of the robot
+    scale: np.ndarray  # (6,) one over the inertia
+    directions: np.ndarray  # (6, k) accelerations by unit forces of these rows
+    across: np.ndarray  # (6 - r, 6) of forces, along which none of these rows acts
+
+    @classmethod
+    def of(cls, M_b: np.ndarray, W_b: np.ndarray, carriers: np.ndarray) -> _BaseBalance:
+        scale = 1.0 / np.diag(M_b)
+        directions = scale[:, None] * W_b[:, carriers]
+        u, singular, _ = np.linalg.svd(directions)
+        across = u[:, rank_of(singular, BLOCK_RANK_TOLERANCE) :].T * scale
+        return cls(carriers, scale, directions, across)
+
+    def forces(self, wanted: np.ndarray) -> np.ndarray:
+        """Forces of least norm of the joints with the world for a wrench (6,) on the base."""
+        return np.linalg.lstsq(self.directions, self.scale * wanted, rcond=BLOCK_RANK_TOLERANCE)[0]
+
+
+def _holds_base(model: Model, robot: str) -> np.ndarray:
+    """Rows of a robot, counted from its first one, of its joints with the world."""
+    layout, rows = model.layout, []
+    first = layout.contacts_of_robot(layout.names.index(robot)).start
+    for name, pair in model.connections.items():
+        of_pair = layout.contacts_of(layout.owners.index(name))
+        if pair.robot == robot and WORLD in (pair.first, pair.second):
+            records = zip(range(of_pair.start, of_pair.stop), model.records[of_pair], strict=True)
+            rows += [k - first for k, record in records if isinstance(record, Contact)]
+    return np.array(rows, dtype=int)
 
 
 def _noun(model: Model, robot: str) -> str:
@@ -240,8 +296,8 @@ def _frame(
     state = ev.state
     still = np.zeros((6, model.robots[robot].dof))
     if body.is_link:
-        rates = state.joint_velocities[robot]
-        tip = model.robots[robot].terms(state.joint_positions[robot], rates, body.tip)
+        rates, base = state.joint_velocities[robot], state.bases.get(robot)
+        tip = model.robots[robot].terms(state.joint_positions[robot], rates, body.tip, base)
         return _Frame(tip.tip_rotation, tip.tip_twist, tip.J, tip.drift)
     if body.is_object:
         R = quaternion_to_matrix(state.object_quaternion_xyzw)
@@ -346,10 +402,12 @@ def _relative_accelerations(
 def _posture_accelerations(model: Model, wanted: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     arms_alone = all(_noun(model, name) == "arm" for name in model.robots)
     _require_known("posture_acceleration", wanted, model.robots, "arm" if arms_alone else "robot")
-    return {
-        name: checked_vector(f"posture_acceleration[{name!r}]", wanted.get(name, np.zeros(n)), n)
-        for name, n in ((name, arm.dof) for name, arm in model.robots.items())
-    }
+    accelerations = {}
+    for name, arm in model.robots.items():
+        n, what = len(arm.joint_names), f"posture_acceleration[{name!r}]"
+        of_joints = checked_vector(what, wanted.get(name, np.zeros(n)), n)
+        accelerations[name] = np.append(np.zeros(arm.base_dof), of_joints)
+    return accelerations
 
 
 def _require_known(key: str, wanted: Any, names: Iterable[str], noun: str) -> None:

@@ -323,8 +323,7 @@ class Layout:
 
     def base_twists(self, velocity: np.ndarray) -> list[np.ndarray]:
         """What a vector like a velocity has of each floating base: views, shape (..., 6)."""
-        rates = self.joint_rates(velocity)
-        return [rates[..., first : first + TWIST] for first in self.first_of_bases]
+        return list(self.split_bases(self.joint_rates(velocity)).values())
 
     @property
     def first_of_bases(self) -> list[int]:
@@ -370,10 +369,21 @@ class Layout:
         """Views ``robot -> vector[..., its joints]``, without those of floating bases."""
         return {name: vector[..., self.tree_joints(i)] for i, name in enumerate(self.names)}
 
+    def split_bases(self, vector: np.ndarray) -> dict[str, np.ndarray]:
+        """Views ``robot -> vector[..., its base's six numbers]`` of a vector of all joints."""
+        firsts = zip(self.floating_robots, self.first_of_bases, strict=True)
+        return {self.names[i]: vector[..., first : first + TWIST] for i, first in firsts}
+
     def tree_joints(self, i: int) -> slice:
         """Joints of a robot among all joints, without the six of a floating base."""
         first = self.first_joint[i] + (TWIST if i in self.floating_robots else 0)
         return slice(first, self.first_joint[i + 1])
+
+    @property
+    def driven_joints(self) -> np.ndarray:
+        """Numbers among all joints of those that may have drives: without floating bases."""
+        every = [np.r_[self.tree_joints(i)] for i in range(len(self.names))]
+        return np.concatenate(every)
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``owner -> vector[..., its contacts]``, without the surroundings."""

@@ -1,7 +1,8 @@
 """Derivatives of an evaluation as a user reads them: blocks with names, of one matrix.
 
 Displacements of the object are a shift of its centre of mass and a rotation vector, world axes:
-``position + shift``, ``retract(quaternion, turn)``.
+``position + shift``, ``retract(quaternion, turn)``.  Those of a floating base are the same of its
+frame; in the stacked vectors they stand before its robot's joints.
 """
 
 from __future__ import annotations
@@ -106,6 +107,24 @@ class Sensitivity:
         return self.layout.split_joints(self._block("joint_velocities"))
 
     @property
+    def d_base_poses(self) -> Mapping[str, np.ndarray]:
+        """By a shift [m] and a turn [rad] of a floating base, world axes, robot -> (m, 6)."""
+        return self._by_base("joint_positions")
+
+    @property
+    def d_base_twists(self) -> Mapping[str, np.ndarray]:
+        """By the twist of a floating base, world axes, robot -> (m, 6)."""
+        return self._by_base("joint_velocities")
+
+    @property
+    def d_base_wrenches(self) -> Mapping[str, np.ndarray]:
+        """By a force [N] and a moment about its origin [N m] on a floating base, robot -> (m, 6).
+
+        World axes.
+        """
+        return self._by_base("torques")
+
+    @property
     def d_torques(self) -> Mapping[str, np.ndarray]:
         """By torques [N m] or forces [N] that are added to the joints, arm -> (m, n_i)."""
         return self.layout.split_joints(self._block("torques"))
@@ -145,6 +164,9 @@ class Sensitivity:
         """By numbers of the scene, of those given to :func:`multiarm.sensitivities`, (K, m)."""
         paths = [path for path in self.columns if path not in (*STATE, *INPUTS, *PARAMETERS)]
         return ByPath({path: self.matrix[..., self.columns[path].start] for path in paths})
+
+    def _by_base(self, name: str) -> dict[str, np.ndarray]:
+        return self.layout.split_bases(self._block(name))
 
     def _block(self, name: str) -> np.ndarray:
         if name not in self.columns:
@@ -270,8 +292,14 @@ class Derivatives:
     def joint_accelerations(self) -> Mapping[str, Sensitivity]:
         """Of the joint accelerations, by arm."""
         matrix = self.matrix[self.rows["joint_accelerations"]]
-        blocks = (matrix[self.layout.joints_of(i)] for i in range(len(self.layout.names)))
+        blocks = (matrix[self.layout.tree_joints(i)] for i in range(len(self.layout.names)))
         return dict(zip(self.layout.names, map(self._sensitivity, blocks), strict=True))
+
+    @cached_property
+    def base_accelerations(self) -> Mapping[str, Sensitivity]:
+        """Of the accelerations of floating bases, by robot, six rows each."""
+        blocks = self.layout.split_bases(self.matrix[self.rows["joint_accelerations"]].T)
+        return {name: self._sensitivity(block.T) for name, block in blocks.items()}
 
     @cached_property
     def contact_forces(self) -> Mapping[str, Sensitivity]:

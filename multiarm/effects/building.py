@@ -42,6 +42,7 @@ class Link(NamedTuple):
     block: int
     first: int  # the block's first joint among all
     chain: np.ndarray  # (d,) the joints that move the link, counted from it, from base to link
+    base: int  # how many of these are those of a floating base: the first six, or none
     # the link's frame in the frame of the joint that carries it, (3, 3) and (3,)
     rotation: np.ndarray
     translation: np.ndarray
@@ -96,6 +97,7 @@ class BuildContext:
             block=block,
             first=layout.first_joint_of_block[block],
             chain=chain,
+            base=self.arms[arm].base_dof,
             rotation=rotation,
             translation=translation,
         )

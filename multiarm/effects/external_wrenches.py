@@ -68,12 +68,14 @@ class ExternalWrenches(NamedTuple):
     object: Ints1  # that object
     in_body: Ints1  # whether its axes are those of the body, else of the world
     # of one on a link: number of its pose, block of the joints that move it, the block's first
-    # joint; (k, d) these joints, counted from the block's first, and how many they are
+    # joint; (k, d) these joints, counted from the block's first, how many they are, and how many of
+    # them are those of a floating base
     link: Ints1
     block: Ints1
     first_joint: Ints1
     chain: Ints2
     joints: Ints1
+    base: Ints1
     function: Ints1  # address of a function that writes it
     # of a table: its first row among those of all tables, and how many
     first_row: Ints1
@@ -136,7 +138,7 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
     """Add the derivatives of the torques of a wrench on a link, by joints that carry it.
 
     A joint displaces the columns of those after it, the point, and axes of the body, by its twist
-    about the world's origin.
+    about the world's origin.  Those of a floating base do not turn with each other.
     """
     first, chain = wrenches.first_joint[k], wrenches.chain[k]
     addresses = open_addresses(data.bodies.pointers[wrenches.block[k]])
@@ -152,7 +154,7 @@ def differentiate_on_link(wrenches, k, lever, f, m, follows, data):
             j = chain[b]
             twist = vec(J, 6 * j), vec(J, 6 * j + 3)
             slope = dot(twist[0], df) + dot(twist[1], dm)
-            if b > a:
+            if b > a and (b >= wrenches.base[k] or a < 3):
                 moved = twist_product((v, w), twist)
                 slope += dot(moved[0], f) + dot(moved[1], m)
             data.slopes.force[row + j, column + i] += slope
@@ -319,7 +321,7 @@ def _place(wrench, context: BuildContext, wrenches: ExternalWrenches, k: int) ->
         link = context.link(wrench.target.robot, wrench.target.tip)
         wrenches.on_link[k], wrenches.link[k], wrenches.block[k] = 1, link.number, link.block
         wrenches.first_joint[k], wrenches.joints[k] = link.first, link.chain.size
-        wrenches.chain[k, : link.chain.size] = link.chain
+        wrenches.chain[k, : link.chain.size], wrenches.base[k] = link.chain, link.base
         frame, point = link.rotation, link.rotation @ point + link.translation
     elif wrench.on in context.layout.objects:  # else the only one
         wrenches.object[k] = context.layout.objects.index(wrench.on)

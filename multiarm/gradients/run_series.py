@@ -18,6 +18,7 @@ from itertools import chain, pairwise
 
 import numpy as np
 
+from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
@@ -110,8 +111,9 @@ class RunSeries:
     def states(self, times: list[float]) -> list[State]:
         """The states at some times within one panel."""
         numbers, _ = self.series(times[0]).at(times)
-        quaternions = self._layout.quaternions(numbers)
-        quaternions /= np.linalg.norm(quaternions, axis=-1, keepdims=True)
+        layout = self._layout
+        for poses in (layout.poses(numbers), layout.base_poses(numbers)):
+            poses[..., 3:] /= np.linalg.norm(poses[..., 3:], axis=-1, keepdims=True)
         return [self._state(row) for row in numbers]
 
     def series(self, t: float) -> Series:
@@ -152,16 +154,31 @@ class RunSeries:
         if run.status != RunStatus.COMPLETED:
             raise SolverError(f"the run that is differentiated did not end well: {run.message}")
         _refuse_events(run)
-        joints, rates, names = run.joint_positions, run.joint_velocities, self._layout.names
-        pose = run.object_position, run.object_quaternion_xyzw
-        positions = np.hstack([*pose, *(joints[name] for name in names)])
-        velocities = np.hstack([run.object_twist, *(rates[name] for name in names)])
-        numbers = np.hstack([positions, velocities])
+        numbers = np.hstack(_states_of(run, self._layout))
         return run, dict(zip(np.unique(times).tolist(), numbers, strict=True))
 
     def _state(self, numbers: np.ndarray) -> State:
         nq = self._layout.nq
         return State(numbers[:nq], numbers[nq:], self._layout)
+
+
+def _states_of(run: Trajectory, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations and velocities at the samples of a run, (samples, nq) and (samples, nv)."""
+    positions, velocities = np.zeros((len(run), layout.nq)), np.zeros((len(run), layout.nv))
+    layout.poses(positions)[:, 0] = np.hstack([run.object_position, run.object_quaternion_xyzw])
+    layout.twists(velocities)[:, 0] = run.object_twist
+    for joints, by_robot in (
+        (layout.joint_positions(positions), run.joint_positions),
+        (layout.joint_rates(velocities), run.joint_velocities),
+    ):
+        for name, of_robot in layout.split_joints(joints).items():
+            of_robot[:] = by_robot[name]
+    twists = layout.split_bases(layout.joint_rates(velocities))
+    for b, (name, twist) in enumerate(twists.items()):
+        base = run.bases[name]
+        layout.base_poses(positions)[:, b] = np.hstack([base.position, base.quaternion_xyzw])
+        twist[:] = base.twist
+    return positions, velocities
 
 
 def _refuse_events(run: Trajectory) -> None:

@@ -115,15 +115,29 @@ class Sensitivities:
         """Of the joint velocities by arm, blocks (K, n_i, ...)."""
         return self._by_arm("joint_velocities")
 
-    def _sensitivity(self, rows: slice) -> Sensitivity:
+    @cached_property
+    def base_poses(self) -> Mapping[str, Sensitivity]:
+        """Of a shift [m] and a turn [rad] of floating bases by robot, blocks (K, 6, ...)."""
+        return self._by_base("joint_positions")
+
+    @cached_property
+    def base_twists(self) -> Mapping[str, Sensitivity]:
+        """Of the twists of floating bases by robot, blocks (K, 6, ...)."""
+        return self._by_base("joint_velocities")
+
+    def _sensitivity(self, rows: slice | np.ndarray) -> Sensitivity:
         return Sensitivity(self.matrix[:, rows], self.layout, self.columns)
 
     def _by_arm(self, quantity: str) -> dict[str, Sensitivity]:
-        first, first_joint = self.rows[quantity].start, self.layout.first_joint
-        return {
-            name: self._sensitivity(slice(first + a, first + b))
-            for name, a, b in zip(self.layout.names, first_joint, first_joint[1:], strict=False)
-        }
+        rows = self.layout.split_joints(self._rows_of(quantity))
+        return {name: self._sensitivity(of_arm) for name, of_arm in rows.items()}
+
+    def _by_base(self, quantity: str) -> dict[str, Sensitivity]:
+        rows = self.layout.split_bases(self._rows_of(quantity))
+        return {name: self._sensitivity(of_base) for name, of_base in rows.items()}
+
+    def _rows_of(self, quantity: str) -> np.ndarray:
+        return np.arange(self.rows[quantity].start, self.rows[quantity].stop)
 
 
 class _ForwardSolution(NamedTuple):

@@ -116,7 +116,8 @@ def state_matrices(derivatives: Derivatives) -> tuple[np.ndarray, np.ndarray]:
     A[layout.displacement_columns, layout.velocity_columns] = 1.0
     v = derivatives.evaluation.state.velocity
     for turn in layout.turns:
-        A[turn, turn] = skew(v[turn])
+        columns_of_turn = layout.displacement_columns[turn]
+        A[np.ix_(columns_of_turn, columns_of_turn)] = skew(v[turn])
     for velocity, acceleration in (
         ("object_twist", "object_acceleration"),
         ("joint_velocities", "joint_accelerations"),

@@ -9,19 +9,20 @@ joints' positions) and the first six of :math:`\chi`, these rates are functions 
 
 .. math::
     k_o = \gamma (r_o + h \chi), \qquad k_x = R_o (r_x + h k_o), \qquad
-    k_{qi} = \gamma (r_{qi} + h k_i) .
+    k_{qi} = R_i (r_{qi} + h k_i) .
 
-What is left is a matrix :math:`E_i` as large as the block's velocities and states, and one system
-for :math:`\chi` alone, six equations or twelve:
+:math:`R_i` is :math:`\gamma`, but for the turn of a floating base, for which it is like
+:math:`R_o`.  What is left is a matrix :math:`E_i` as large as the block's velocities and states,
+and one system for :math:`\chi` alone, six equations or twelve:
 
 .. math::
-    E_i &= \frac1\gamma - h A^v_i - h^2 \gamma A^q_i, \qquad
+    E_i &= \frac1\gamma - h A^v_i - h^2 A^q_i R_i, \qquad
     E_i V_i = h\,(h^2 \gamma A^x_{oi} R_o + h \gamma A^v_{oi} + U_i), \qquad
-    D_i = B^v_i + h \gamma B^q_i, \\
-    E_i k^0_i &= r_i + h\,(\gamma A^q_i r_{qi} + A^x_{oi} k^0_x + A^v_{oi} k^0_o), \qquad
+    D_i = B^v_i + h B^q_i R_i, \\
+    E_i k^0_i &= r_i + h\,(A^q_i R_i r_{qi} + A^x_{oi} k^0_x + A^v_{oi} k^0_o), \qquad
     k_i = k^0_i + V_i \chi, \\
     &\Big(1 - h^2 \gamma B^x_o R_o - h \gamma B^v_o - \sum_i D_i V_i\Big)\,\chi =
-    B^x_o k^0_x + B^v_o k^0_o + \sum_i (\gamma B^q_i r_{qi} + D_i k^0_i)
+    B^x_o k^0_x + B^v_o k^0_o + \sum_i (B^q_i R_i r_{qi} + D_i k^0_i)
 
 with the superscript 0 where :math:`\chi = 0`.
 
@@ -40,7 +41,7 @@ from multiarm.jit.kernels import clear, inlined, kernel
 @kernel
 def factor_stages(gamma, blocks, struct, velocity, h):
     """Factors of the stages' systems; returns whether they can be used."""
-    _, _, work = open_system(struct)
+    _, data, work = open_system(struct)
     d, at, node, usable = blocks.d, derivative_columns(blocks), blocks.node, True
     u = blocks.couplings
     for l in range(u):
@@ -64,22 +65,38 @@ def factor_stages(gamma, blocks, struct, velocity, h):
             along_object(gamma, h, velocity, row[at.pose :], blocks.frames, V[r])
             for l in range(u):
                 V[r, l] = h * (V[r, l] + row[at.accelerations + l])
+            turn_positions(gamma, -0.5 * h, velocity, data, work.first_joint[i], row, E[r, :n])
             for c in range(n):
-                E[r, c] = -h * (row[d + c] + h * gamma * row[c])
+                E[r, c] = -h * (row[d + c] + h * E[r, c])
             for c in range(n, size):
                 E[r, c] = -h * row[2 * d + c - n]
             E[r, r] += 1.0 / gamma
         usable = usable and factor_lu(E, size, blocks.E_pivots[i]) > 0.0
         solve_rows(E, size, blocks.E_pivots[i], V)
         for l in range(u):
+            turn_positions(gamma, -0.5 * h, velocity, data, work.first_joint[i], B[l], D[l, :n])
             for c in range(n):
-                D[l, c] = B[l, d + c] + h * gamma * B[l, c]
+                D[l, c] = B[l, d + c] + h * D[l, c]
             for c in range(n, size):
                 D[l, c] = B[l, 2 * d + c - n]
             for k in range(size):
                 for c in range(u):
                     node[l, c] -= D[l, k] * V[k, c]
     return usable and factor_lu(node, u, blocks.node_pivots) > 0.0
+
+
+@inlined
+def turn_positions(gamma, half, velocity, data, d0, row, out):
+    """``out = R_i row`` for positions of an arm whose joints begin at ``d0``.
+
+    ``half`` is ``h / 2``, and ``-h / 2`` for a row vector, ``row R_i``.
+    """
+    for c in range(out.size):
+        out[c] = gamma * row[c]
+    for b in range(data.state.floating_bases.size):
+        if data.state.floating_bases[b] == d0:
+            spin = chart_places(data).joints + d0 + 3
+            turn(1.0 / gamma, half, velocity[spin : spin + 3], row[3:6], out[3:6])
 
 
 @inlined
@@ -93,6 +110,14 @@ def along_object(gamma, h, velocity, row, frames, out):
     turn_frames(frames, 1.0 / gamma, -0.5 * h, velocity, row, out)
     for l in range(frames):
         out[l] = h * gamma * (h * out[l] + row[frames + l])
+
+
+@inlined
+def turn_bases(data, a, half, velocity, row, out):
+    """As :func:`turn_frames` for the floating bases."""
+    for b in range(data.state.floating_bases.size):
+        spin = chart_places(data).joints + data.state.floating_bases[b] + 3
+        turn(a, half, velocity[spin : spin + 3], row[spin : spin + 3], out[spin : spin + 3])
 
 
 @inlined
@@ -116,7 +141,7 @@ def turn(a, half, omega, vector, out):
 
 @kernel
 def solve_block_stage(gamma, blocks, struct, velocity, h, right, out):
-    """Solve a stage's system for the right-hand side ``right``."""
+    """Solve a stage's system for the right-hand side ``right``, which is overwritten."""
     _, data, work = open_system(struct)
     places, d, at = chart_places(data), blocks.d, derivative_columns(blocks)
     chi, k_o, frames = blocks.chi, blocks.rates, blocks.frames
@@ -130,20 +155,22 @@ def solve_block_stage(gamma, blocks, struct, velocity, h, right, out):
     for i in range(blocks.counts.size):
         A, B, D, k_i = blocks.derivatives[i], blocks.on_object[i], blocks.D[i], blocks.unknowns[i]
         d0, joints = work.first_joint[i], work.first_joint[i + 1] - work.first_joint[i]
-        size = joints + blocks.counts[i]
+        size, positions = joints + blocks.counts[i], places.joints + d0
+        k_q = out[positions : positions + joints]
+        turn_positions(gamma, 0.5 * h, velocity, data, d0, right[positions:], k_q)
         for r in range(size):
             row = A[r if r < joints else d + blocks.m + r - joints]
             s = 0.0
             for c in range(k_o.size):
                 s += row[at.pose + c] * k_o[c]
             for c in range(joints):
-                s += gamma * row[c] * right[places.joints + d0 + c]
+                s += row[c] * k_q[c]
             k_i[r] = right[unknown_place(blocks, i, places, d0, joints, r)] + h * s
         solve_lu(blocks.E[i], size, blocks.E_pivots[i], k_i)
         for l in range(blocks.couplings):
             s = 0.0
             for c in range(joints):
-                s += gamma * B[l, c] * right[places.joints + d0 + c]
+                s += B[l, c] * k_q[c]
             for c in range(size):
                 s += D[l, c] * k_i[c]
             chi[l] += s
@@ -159,8 +186,10 @@ def solve_block_stage(gamma, blocks, struct, velocity, h, right, out):
                 s += blocks.V[i, r, l] * chi[l]
             out[unknown_place(blocks, i, places, d0, joints, r)] = s
             if r < joints:
-                position = places.joints + d0 + r
-                out[position] = gamma * (right[position] + h * s)
+                right[places.joints + d0 + r] += h * s
+        positions = places.joints + d0
+        k_q = out[positions : positions + joints]
+        turn_positions(gamma, 0.5 * h, velocity, data, d0, right[positions:], k_q)
     add_powers(gamma, blocks, work, places, h, right, out)
 
 

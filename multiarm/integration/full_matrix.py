@@ -87,7 +87,7 @@ from multiarm.dynamics.sliding_derivatives import (
 from multiarm.dynamics.solver.factors import factor_lu, solve_lu, solve_rows
 from multiarm.dynamics.solver.solution import WHOLE
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.integration.block_stages import turn_frames
+from multiarm.integration.block_stages import turn_bases, turn_frames
 from multiarm.integration.near_singular import ZONE, may_cross
 from multiarm.integration.step import Step, slope_at
 from multiarm.jit.kernels import allocating, clear, copy, greatest, inlined, kernel, larger
@@ -345,11 +345,19 @@ def follow_projection(data, full):
         for c in range(nv):
             by_position[c] += of_positions[c]
     for first in range(0, joints, 6):
-        spin = vec(data.state.velocity, first + 3)
-        for axis in range(3):
-            turn = cross(spin, AXES[axis])
-            for k in range(3):
-                Y[first + 3 + k, 2 * nv + first + 3 + axis] += 0.5 * turn[k]
+        add_turning(Y, 2 * nv, first + 3, data)
+    for b in range(data.state.floating_bases.size):
+        add_turning(Y, 2 * nv, joints + data.state.floating_bases[b] + 3, data)
+
+
+@inlined
+def add_turning(Y, column, turn, data):
+    """Add ``[omega]x / 2`` of the rotation vector from entry ``turn`` on of a displacement."""
+    spin = vec(data.state.velocity, turn)
+    for axis in range(3):
+        rate = cross(spin, AXES[axis])
+        for k in range(3):
+            Y[turn + k, column + turn + axis] += 0.5 * rate[k]
 
 
 @inlined
@@ -433,7 +441,8 @@ def factor_full(gamma, full, struct, projects, velocity, h):
 
     ``velocity`` is that at the beginning of the step.
     """
-    frames, nv = chart_places(open_data(struct)).joints, full.turned.shape[1]
+    data = open_data(struct)
+    frames, nv = chart_places(data).joints, full.turned.shape[1]
     m, a = full.matrix.shape[0], 1.0 / gamma
     if projects and not factor_positions(full, a, h):
         return False
@@ -447,6 +456,7 @@ def factor_full(gamma, full, struct, projects, velocity, h):
             for j in range(nv):
                 row[j] = by_position[j] / a
             turn_frames(frames, a, -0.5 * h, velocity, by_position, row)
+            turn_bases(data, a, -0.5 * h, velocity, by_position, row)
         for j in range(nv):
             line[j] -= h * h * row[j]
         if projects:
@@ -475,8 +485,8 @@ def factor_positions(full, a, h):
 @kernel
 def solve_full_stage(gamma, full, struct, projects, velocity, h, right, out):
     """Solve a stage's system for the right-hand side ``right``, which is overwritten."""
-    places = chart_places(open_data(struct))
-    m, a = full.matrix.shape[0], 1.0 / gamma
+    data = open_data(struct)
+    places, m, a = chart_places(data), full.matrix.shape[0], 1.0 / gamma
     nv = places.velocity
     rates = out[nv : nv + m]
     for i in range(m):
@@ -496,6 +506,7 @@ def solve_full_stage(gamma, full, struct, projects, velocity, h, right, out):
             out[i] = right[i] / a
     if not projects:
         turn_frames(places.joints, a, 0.5 * h, velocity, right, out)
+        turn_bases(data, a, 0.5 * h, velocity, right, out)
     for i in range(m, full.by_position.shape[0]):
         s = right[nv + i]
         for j in range(nv):

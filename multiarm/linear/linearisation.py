@@ -251,9 +251,12 @@ def linearise(
     system = require_system(system, "ma.linearise(system, t, state)")
     D = derivatives(system, t, state, closed_loop=closed_loop)
     at, layout = minimal_coordinates(D.motions), D.layout
-    size, n, e = layout.nv, layout.rate_count, len(D.effect_state_rates.matrix)
+    size, e = layout.nv, len(D.effect_state_rates.matrix)
+    driven = layout.driven_joints
+    n = len(driven)
     p, m = len(at.positions), len(at.velocities)
     by_y, by_torques = _by_coordinates(D, at)
+    by_torques = by_torques[:, driven]
     velocities = np.hstack([at.turning, at.velocity, np.zeros((size, e))])
     ev, positions, rates = D.evaluation, list(at.positions), list(at.velocities)
     chart, v0 = velocities.copy(), ev.state.velocity
@@ -279,7 +282,7 @@ def linearise(
             *(f"{names[k]}'" for k in rates),
             *(f"effect state {k + 1}" for k in range(e)),
         ),
-        input_names=tuple(f"{name}/torque" for name in names[layout.of_joints]),
+        input_names=tuple(f"{system.model.joint_names[joint]}/torque" for joint in driven),
         output_names=(
             *names,
             *(f"{name}'" for name in names),

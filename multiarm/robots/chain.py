@@ -94,7 +94,7 @@ def chain_joints(robot: TreeStructure) -> np.ndarray:
             centre=turned.T @ robot.centres[k],
             mass=robot.masses[k],
             inertia=inertia[np.triu_indices(3)],
-            turns=not robot.slides[k],
+            turns=not (robot.slides[k] or robot.floats[k]),
             slides=robot.slides[k],
             armature=robot.armature[k],
             link_axes=turned.T,

@@ -33,6 +33,23 @@ of i,
 
 for joints of two branches all four are zero.
 
+*A floating base* is moved by six numbers, its displacement in world axes, and its velocities are
+its twist.  Twists here are about where its origin is.  Of its columns :math:`S = (e, 0)` and
+:math:`(0, e)` the latter neither turn with the base nor with each other, while its twist
+:math:`v_0 = (v, \omega)` and acceleration stay what they are where it is displaced.  So the
+formulas hold with :math:`\dot\Psi = \ddot\Psi = 0` for a shift, and
+
+.. math::
+    \dot\Psi = v_0 \times S, \qquad \ddot\Psi = a_0 \times S + v_0 \times \dot\Psi
+
+for a turn, with all of the base's velocity and acceleration; by its angular velocity with
+
+.. math:: \dot\Phi = (v\times e, \tfrac12\,\omega\times e)
+
+in place of :math:`\dot\Psi`, as turns about the axes of the world are no rates of coordinates.
+Three entries remain, as its own columns do not turn: the moment on the base by its turns has
+:math:`S_k\cdot(S_j\times^* f)` also for :math:`k > j`.
+
 Reference: S. Singh, R.P. Russell, P.M. Wensing, Efficient Analytical Derivatives of Rigid-Body
 Dynamics Using Spatial Vector Algebra, IEEE Robotics and Automation Letters 7, 2022; written out
 here for joints with one degree of freedom.
@@ -61,9 +78,11 @@ from multiarm.jit.vectors import (
     compose,
     cross,
     dot,
+    put,
     rotate,
     rotate_back,
     scale,
+    sub,
     vec,
 )
 from multiarm.robots.chain import (
@@ -73,6 +92,7 @@ from multiarm.robots.chain import (
     chain_joints,
     column_of,
     inertial_force,
+    joints_at_rest,
     link_inertia,
     moments,
     next_frame,
@@ -83,7 +103,8 @@ from multiarm.robots.chain import (
     twist_product,
     write_motion,
 )
-from multiarm.robots.terms import TreeStructure
+from multiarm.robots.terms import BASE_DOF, TreeStructure
+from multiarm.spatial import rotation_of
 
 
 class Displacement(NamedTuple):
@@ -106,7 +127,8 @@ class Link(NamedTuple):
     column: Pair
     twist: Pair
     rate: Pair  # of the twist
-    column_rate: Pair
+    column_rate: Pair  # by its position
+    column_drift: Pair  # the same by its rate
     column_acceleration: Pair
     mass: Number
     moment: Vector
@@ -133,7 +155,10 @@ class TreeLinks(NamedTuple):
     joints : ndarray, shape (joints, 34)
         Every :class:`multiarm.robots.chain.ChainJoint`.
     bases : ndarray, shape (n, 3)
-        Origins of the first joints in the world [m].
+        Origins of the first joints in the world [m]; of floating bases where they were at the last
+        call of :func:`write_motions`.
+    floats : int64 ndarray, shape (n,)
+        Number of the floating base of each robot, which is then its first six joints; -1 without.
     gravity : ndarray, shape (3,)
     """
 
@@ -141,22 +166,40 @@ class TreeLinks(NamedTuple):
     parents: Ints1
     joints: Floats2
     bases: Floats2
+    floats: Ints1
     gravity: Floats1
 
 
 def tree_links(robots: Sequence[TreeStructure], gravity: np.ndarray) -> TreeLinks:
     """The joints and links of some robots."""
+    floats = np.array([robot.base_floats for robot in robots])
     return TreeLinks(
-        np.cumsum([0, *(robot.parents.size for robot in robots)]).astype(np.int64),
-        np.concatenate([robot.parents for robot in robots]),
-        np.concatenate([chain_joints(robot) for robot in robots]),
+        np.cumsum([0, *(robot.dof for robot in robots)]).astype(np.int64),
+        np.concatenate([_parents_of_numbers(robot) for robot in robots]),
+        np.concatenate([_joints_of_numbers(robot) for robot in robots]),
         np.array([robot.translations[0] for robot in robots]),
+        np.where(floats, np.cumsum(floats) - 1, -1),
         np.array(gravity, dtype=float),
     )
 
 
+def _parents_of_numbers(robot: TreeStructure) -> np.ndarray:
+    """Parents of a robot's joints, where a floating base is six, one after the other."""
+    if not robot.base_floats:
+        return robot.parents
+    return np.append(np.arange(-1, BASE_DOF - 1), robot.parents[1:] + BASE_DOF - 1)
+
+
+def _joints_of_numbers(robot: TreeStructure) -> np.ndarray:
+    """The same of :func:`multiarm.robots.chain.chain_joints`: the sixth carries the base."""
+    joints = chain_joints(robot)
+    if not robot.base_floats:
+        return joints
+    return np.vstack([joints_at_rest(BASE_DOF - 1), joints])
+
+
 @kernel
-def write_motions(links, i, angles, rates, accelerations, scratch):
+def write_motions(links, i, base_poses, angles, rates, accelerations, scratch):
     """Write the motions of a robot's links.
 
     Parameters
@@ -164,14 +207,19 @@ def write_motions(links, i, angles, rates, accelerations, scratch):
     links : view of TreeLinks
     i : int
         Number of the robot.
+    base_poses : (B, 7)
+        Position and quaternion xyzw of every floating base.
     angles, rates, accelerations : (joints,)
         Of all robots.
-    scratch : (n_i, 79), written
+    scratch : (n_i, 85), written
         Every :class:`Link`.
     """
-    d0, n = links.first[i], links.first[i + 1] - links.first[i]
+    d0, n, first = links.first[i], links.first[i + 1] - links.first[i], 0
     at_base = (scale(-1.0, vec(links.gravity, 0)), ZERO)
-    for k in range(n):
+    if links.floats[i] >= 0:
+        first = BASE_DOF
+        _write_base(links, i, base_poses[links.floats[i]], rates, accelerations, scratch)
+    for k in range(first, n):
         joint, link, q = open_joint(links.joints[d0 + k]), open_link(scratch[k]), angles[d0 + k]
         angle, parent = joint.turns * q, links.parents[d0 + k]
         axes, p, twist, rate = AXES, ZERO, (ZERO, ZERO), at_base
@@ -184,17 +232,52 @@ def write_motions(links, i, angles, rates, accelerations, scratch):
         column_rate = twist_product(twist, S)
         rate = add_scaled_pair(rate, accelerations[d0 + k], S)
         rate = add_scaled_pair(rate, rates[d0 + k], column_rate)
-        link.axes, link.rotation, link.origin = axes, compose(axes, joint.link_axes), p
-        link.column, link.twist, link.rate, link.column_rate = S, twist, rate, column_rate
+        link.rotation, link.column = compose(axes, joint.link_axes), S
+        link.column_rate = link.column_drift = column_rate
         link.column_acceleration = add_pair(
             twist_product(rate, S), twist_product(twist, column_rate)
         )
-        inertia = link_inertia(joint, axes, p)
-        mass, moment, second = moments(inertia)
-        link.mass, link.moment, link.second = mass, moment, second
-        link.momentum, _ = times_inertia(mass, moment, second, twist)
-        link.turning = twice_turning_matrix(moment, second, twist[0], twist[1])
-        link.force = inertial_force(inertia, twist, rate)
+        _move_link(joint, axes, p, twist, rate, link)
+
+
+@inlined
+def _write_base(links, i, pose, rates, accelerations, scratch):
+    """Write the motions of the six joints of a floating base, of which the last has its link."""
+    d0, R = links.first[i], rotation_of(pose[3:7])
+    put(links.bases[i], 0, vec(pose, 0))
+    v, w = vec(rates, d0), vec(rates, d0 + 3)
+    a = sub(sub(vec(accelerations, d0), vec(links.gravity, 0)), cross(w, v))
+    twist, rate = (v, w), (a, vec(accelerations, d0 + 3))
+    for k in range(BASE_DOF):
+        joint, link = open_joint(links.joints[d0 + k]), open_link(scratch[k])
+        e, S = AXES[k % 3], (AXES[k % 3], ZERO)
+        column_rate = drift = column_acceleration = (ZERO, ZERO)
+        if k >= 3:
+            S = (ZERO, e)
+            column_rate, drift = twist_product(twist, S), (cross(v, e), scale(0.5, cross(w, e)))
+            column_acceleration = add_pair(
+                twist_product(rate, S), twist_product(twist, column_rate)
+            )
+        link.rotation, link.column = R, S
+        link.column_rate, link.column_drift = column_rate, drift
+        link.column_acceleration = column_acceleration
+        Q = joint.link_axes
+        axes = compose(
+            R, (rotate_back(Q, AXES[0]), rotate_back(Q, AXES[1]), rotate_back(Q, AXES[2]))
+        )
+        _move_link(joint, axes, ZERO, twist, rate, link)
+
+
+@inlined
+def _move_link(joint, axes, p, twist, rate, link):
+    """Write the motion of a joint's link, its inertia and the force that moves it."""
+    link.axes, link.origin, link.twist, link.rate = axes, p, twist, rate
+    inertia = link_inertia(joint, axes, p)
+    mass, moment, second = moments(inertia)
+    link.mass, link.moment, link.second = mass, moment, second
+    link.momentum, _ = times_inertia(mass, moment, second, twist)
+    link.turning = twice_turning_matrix(moment, second, twist[0], twist[1])
+    link.force = inertial_force(inertia, twist, rate)
 
 
 @kernel
@@ -246,7 +329,7 @@ def displace_by_rate(link, p, twist, out):
     (v, w), S = twist, link.column
     # the origin moves by ``shift`` in a unit of time
     u, shift = add_cross(v, w, p), add_cross(S[0], S[1], p)
-    of_rate = add_scaled_pair(twist_product(S, twist), 2.0, link.column_rate)
+    of_rate = add_scaled_pair(twist_product(S, twist), 2.0, link.column_drift)
     rate_of_u = add_cross(add_cross(of_rate[0], of_rate[1], p), S[1], u)
     out.velocity, out.spin = shift, S[1]
     out.acceleration, out.spin_rate = add_cross(rate_of_u, w, shift), of_rate[1]
@@ -276,7 +359,7 @@ def write_inverse_dynamics(links, i, scratch, by_q, by_v):
         clear(by_v[k])
     for k in range(n - 1, -1, -1):
         link = open_link(scratch[k])
-        S, rate, f = link.column, link.column_rate, link.force
+        S, rate, drift, f = link.column, link.column_rate, link.column_drift, link.force
         m, h, inertia = link.mass, link.moment, link.second
         P, G = link.momentum, link.turning
         # the columns of the joint
@@ -285,7 +368,7 @@ def write_inverse_dynamics(links, i, scratch, by_q, by_v):
             add_cross(add_scaled(of_q[0], 2.0, cross(rate[1], P)), S[1], f[0]),
             add_rotated(add_cross(add_cross(of_q[1], S[1], f[1]), S[0], f[0]), G, rate[1]),
         )
-        of_v = times_inertia(m, h, inertia, rate)
+        of_v = times_inertia(m, h, inertia, drift)
         of_v = (
             scale(2.0, add_cross(of_v[0], S[1], P)),
             add_rotated(scale(2.0, of_v[1]), G, S[1]),
@@ -300,10 +383,15 @@ def write_inverse_dynamics(links, i, scratch, by_q, by_v):
             S_j, rate_j = before.column, before.column_rate
             by_q[j, k], by_v[j, k] = power(S_j, of_q), power(S_j, of_v)
             by_q[k, j] = power(before.column_acceleration, momentum) + dot(rate_j[1], turning)
-            by_v[k, j] = 2.0 * power(rate_j, momentum) + dot(S_j[1], turning)
+            by_v[k, j] = 2.0 * power(before.column_drift, momentum) + dot(S_j[1], turning)
             j = links.parents[d0 + j]
         if parent >= 0:
             _add_beyond(open_link(scratch[parent]), link)
+    if links.floats[i] >= 0:
+        x, y, z = open_link(scratch[0]).force[1]
+        by_q[4, 3] -= z
+        by_q[5, 3] += y
+        by_q[5, 4] -= x
 
 
 @inlined

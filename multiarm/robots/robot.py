@@ -22,7 +22,7 @@ import pinocchio as pin
 from multiarm.errors import ModelError
 from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.notation import count_of
-from multiarm.robots.terms import RobotTerms, TipKinematics, TreeStructure
+from multiarm.robots.terms import BASE_DOF, RobotTerms, TipKinematics, TreeStructure
 from multiarm.scene.meshes import ShapeMesh, shapes_without_meshes
 from multiarm.scene.mjcf import mjcf_model
 from multiarm.scene.urdf import JointOutline
@@ -373,26 +373,30 @@ class Robot:
         Raises
         ------
         ModelError
-            When a joint turns and slides at once; when the base floats.
+            When a joint turns and slides at once; when the base floats and carries no joint.
         """
-        model = self.model
+        model, first = self.model, self._first_joint
+        motions = [_motion(joint) for joint in list(model.joints)[first:]]
         if self.floats:
-            raise ModelError("its base floats")
-        links, moves = range(1, model.njoints), np.array([_motion(j) for j in model.joints[1:]])
+            if not motions:
+                raise ModelError("its base floats and carries no joints")
+            first, motions = first - 1, [np.eye(BASE_DOF)[-1], *motions]
+        links, moves = range(first, model.njoints), np.array(motions)
         turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))
         if np.any(turns & slides):
-            names = ", ".join(np.array(self.joint_names)[turns & slides])
+            names = ", ".join(np.array(model.names)[first:][turns & slides])
             raise ModelError(f"{names} turns and slides at once")
         return TreeStructure(
-            parents=self.parents,
+            parents=np.maximum(np.array(model.parents)[first:] - first, -1),
             slides=slides,
+            floats=np.array([self.floats, *[False] * (len(links) - 1)]),
             axes=np.where(slides[:, None], moves[:, :3], moves[:, 3:]),
             rotations=np.array([model.jointPlacements[k].rotation for k in links]),
             translations=np.array([model.jointPlacements[k].translation for k in links]),
             masses=np.array([model.inertias[k].mass for k in links]),
             centres=np.array([model.inertias[k].lever for k in links]),
             inertias=np.array([model.inertias[k].inertia for k in links]),
-            armature=np.array(model.armature),
+            armature=np.array(model.armature)[-len(links) :],
         )
 
     def visual_model(self) -> pin.GeometryModel:

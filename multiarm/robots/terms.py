@@ -48,6 +48,10 @@ class LinkAddresses(NamedTuple):
 
 
 NUMBER_BYTES = np.dtype(float).itemsize
+BASE_DOF = 6
+"""Velocities of a floating base."""
+BASE_POSE = 7
+"""Numbers of its pose: position, quaternion xyzw."""
 ADDRESSES, open_addresses = width(TermAddresses), row_of(TermAddresses)
 open_link_addresses = row_of(LinkAddresses)
 
@@ -194,12 +198,15 @@ class Coriolis(NamedTuple):
 class TreeStructure(NamedTuple):
     """Structure of a robot: a tree of ``n`` joints, each with the link that it moves.
 
+    Of a robot whose base floats the first joint is that of its base, which has six velocities: the
+    twist of the base in world axes.  All others follow after it.
+
     parents : int64 (n,)
         Number of the joint before each joint, counted from 0, less than its own; -1: the base.
-    slides : bool (n,)
-        Prismatic joints; the others are revolute.
+    slides, floats : bool (n,)
+        Prismatic joints, and floating bases; the others are revolute.
     axes : (n, 3)
-        Unit vector of the joint's motion, in its own frame.
+        Unit vector of the joint's motion, in its own frame; of a floating base z.
     rotations, translations : (n, 3, 3), (n, 3)
         The joint's frame at zero in that of its parent; without one, in the world [m].
     masses, centres, inertias : (n,), (n, 3), (n, 3, 3)
@@ -211,6 +218,7 @@ class TreeStructure(NamedTuple):
 
     parents: np.ndarray
     slides: np.ndarray
+    floats: np.ndarray
     axes: np.ndarray
     rotations: np.ndarray
     translations: np.ndarray
@@ -218,6 +226,20 @@ class TreeStructure(NamedTuple):
     centres: np.ndarray
     inertias: np.ndarray
     armature: np.ndarray
+
+    @property
+    def base_floats(self) -> bool:
+        """Whether the first joint is that of a floating base."""
+        return bool(self.floats[0])
+
+    @property
+    def dof(self) -> int:
+        """Numbers of a velocity."""
+        return self.number_of(self.parents.size)
+
+    def number_of(self, joint: int) -> int:
+        """The place of a joint's rate among the numbers of a velocity."""
+        return joint + (BASE_DOF - 1 if self.base_floats and joint > 0 else 0)
 
     def part(self, first: int, count: int) -> TreeStructure:
         """Structure of neighbouring joints that neither carry others nor are carried by them."""

@@ -46,7 +46,7 @@ from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
 from multiarm.scene.values import is_finite
 from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
-from multiarm.tableaus import EXPLICIT, METHODS, SEMI_IMPLICIT
+from multiarm.tableaus import METHODS, VARIATIONAL
 
 # Tolerances below this change roundings only.
 SMALLEST_TOLERANCE = 1e-14
@@ -252,10 +252,7 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
         samples,
         final_sample,
         control_step=np.inf if data.model.sampling is None else float(data.model.sampling.time),
-        # the method for stiff scenes needs derivatives, see `_check_bases`
-        switch=settings.adaptive
-        and spec.integrator is None
-        and not data.model.layout.floating_robots,
+        switch=settings.adaptive and spec.integrator is None,
         step=first_length,
     )
     return Run(
@@ -282,11 +279,10 @@ def _check_effects(task: Task, name: str) -> None:
 def _check_bases(model: Model, name: str) -> None:
     """Refuse methods that need derivatives, where bases float."""
     floating = [robot for robot, arm in model.robots.items() if arm.floats]
-    if floating and METHODS[name].kind not in (EXPLICIT, SEMI_IMPLICIT):
+    if floating and METHODS[name].kind == VARIATIONAL:
         text = (
-            f"'{name}' needs derivatives by the pose of a floating base, that of robot "
-            f"'{floating[0]}', which are not there yet; use another method, such as 'dop853' or "
-            "'rk4'"
+            f"'{name}' is not there for floating bases, such as that of robot '{floating[0]}'; use "
+            "another method, such as 'dop853' or 'rodas5p'"
         )
         raise SceneError([Fault(text, "integrator", ("run", "integrator"))])
 

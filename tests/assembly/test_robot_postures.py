@@ -138,6 +138,7 @@ def planar(lengths: Sequence[float], parents: Sequence[int]) -> TreeStructure:
     return TreeStructure(
         parents=np.array(parents, dtype=np.int64),
         slides=np.zeros(n, dtype=bool),
+        floats=np.zeros(n, dtype=bool),
         axes=np.tile(Z, (n, 1)),
         rotations=np.tile(np.eye(3), (n, 1, 1)),
         translations=along,

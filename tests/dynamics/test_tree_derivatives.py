@@ -25,15 +25,16 @@ from multiarm.scene import parse_scene
 
 TIME = 0.3  # [s]
 MOVES = ("x", "y", "yaw")
-FAMILIES = ("several_tips", "moving_bases", "surroundings", "inner_loops", "mimic_joints")
+FAMILIES = (
+    "several_tips", "moving_bases", "surroundings", "inner_loops", "mimic_joints", "floating_bases",
+)  # fmt: skip
 # Roundings of evaluations over the displacement, 1e-14 / 1e-4, times the condition of constraints
 # of which some repeat others or whose links are light.
 BOUND = 1e-6
 
 
 def answers(evaluation) -> np.ndarray:
-    motion = [evaluation.object_acceleration, *evaluation.joint_accelerations.values()]
-    return np.concatenate([*motion, *evaluation.contact_forces.values()])
+    return np.concatenate([evaluation.accelerations, *evaluation.contact_forces.values()])
 
 
 def assert_directions(derivatives, rng, evaluate, state, step=1e-4):
@@ -140,6 +141,8 @@ def test_springs_of_connections_have_the_derivatives_of_differences(family, tmp_
         ("inner_loops", 2),  # a robot with fewer joints than rows
         ("inner_loops", 3),
         ("mimic_joints", 1),
+        ("floating_bases", 1),
+        ("floating_bases", 3),
     ],
 )
 def test_sliding_contacts_of_robots_are_differentiated_with_their_friction(family, seed, tmp_path):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from random_trees import draw_trees
 from steps import CLOSED, Slope, derivatives_of, state_of, step_of_the_package
-from tree_scenes import cart_scene, turned_gripper
+from tree_scenes import DOWN, cart_scene, satellite_scene, turned_gripper
 
 import multiarm as ma
 from multiarm.dynamics.coordinates import load_chart
@@ -15,7 +17,14 @@ from multiarm.integration.projection import project
 from multiarm.scene import parse_scene
 
 MOVES = ("x", "y", "yaw")
-FAMILIES = ("several_tips", "moving_bases", "surroundings", "inner_loops", "mimic_joints")
+FAMILIES = (
+    "several_tips",
+    "moving_bases",
+    "surroundings",
+    "inner_loops",
+    "mimic_joints",
+    "floating_bases",
+)
 EFFECTS = {
     "joint_damping": 5.0,
     "joint_friction": {"torque": 0.5, "model": "smooth", "speed": 0.5},
@@ -26,7 +35,11 @@ BOUND = 2e-5
 
 
 def system_of(name, folder, **effects):
-    scenes = {"cart": cart_scene, "gripper": lambda: turned_gripper(MOVES)}
+    scenes = {
+        "cart": cart_scene,
+        "gripper": lambda: turned_gripper(MOVES),
+        "satellite": lambda: satellite_scene(DOWN),
+    }
     rng = np.random.default_rng(1)
     table = scenes[name]() if name in scenes else draw_trees(name, rng, folder).scene
     return ma.compile_system(parse_scene({**table, "effects": {**EFFECTS, **effects}}))
@@ -38,7 +51,7 @@ def assert_columns(matrix, expected):
 
 
 @pytest.mark.parametrize("gains", [(0.0, 0.0), (30.0, 50.0)])
-@pytest.mark.parametrize("name", ["cart", "gripper", *FAMILIES])
+@pytest.mark.parametrize("name", ["cart", "gripper", "satellite", *FAMILIES])
 def test_derivatives_of_a_step_are_those_of_evaluations_and_cost_none(name, gains, tmp_path):
     """With lagging drives and feedback on the drift; couplings, loops, the world, moving bases."""
     system = system_of(name, tmp_path, actuator_lag=0.1)
@@ -51,7 +64,7 @@ def test_derivatives_of_a_step_are_those_of_evaluations_and_cost_none(name, gain
     assert stepping.step.stage.evaluations == 1 + 7
 
 
-@pytest.mark.parametrize("name", ["cart", "gripper", "inner_loops", "mimic_joints"])
+@pytest.mark.parametrize("name", ["cart", "gripper", "satellite", "inner_loops", "mimic_joints"])
 def test_derivatives_of_projected_stages_are_those_of_projected_evaluations(name, tmp_path):
     system = system_of(name, tmp_path)
     state, n = system.initial_state(), system.model.layout.nv
@@ -64,7 +77,7 @@ def test_derivatives_of_projected_stages_are_those_of_projected_evaluations(name
     assert_columns(np.hstack([rates[:, 2 * n :], rates[:, n : 2 * n]]), J[:n])
 
 
-@pytest.mark.parametrize("name", ["cart", "gripper"])
+@pytest.mark.parametrize("name", ["cart", "gripper", "satellite"])
 def test_steps_of_rodas5p_keep_their_order(name, tmp_path):
     """The error of one step is of order 6, with projected stages too."""
     system = system_of(name, tmp_path, joint_friction=None)
@@ -85,17 +98,27 @@ def test_steps_of_rodas5p_keep_their_order(name, tmp_path):
         assert np.log2(errors[0] / errors[1]) == pytest.approx(6.0, abs=0.6), errors
 
 
+def end_of(system, T, **method):
+    """Configuration and velocity at the end of a run, whose joints are closed."""
+    run = ma.simulate(system, T, output_step=T, certificate=False, **method)
+    assert run.status == "completed" and np.max(np.abs(run.position_drift)) < 1e-10
+    state = state_of(system, run, 1)
+    return np.concatenate([state.position, state.velocity])
+
+
+@pytest.mark.parametrize("name", ["satellite", "floating_bases"])
+def test_runs_of_rodas5p_on_floating_bases_are_those_of_explicit_methods(name, tmp_path):
+    system, T = system_of(name, tmp_path), 0.05
+    reference = end_of(system, T, integrator="dop853", tolerance=1e-11)
+    stiff = end_of(system, T, integrator="rodas5p", tolerance=1e-8)
+    np.testing.assert_allclose(stiff, reference, atol=1e-8)
+
+
 @pytest.mark.parametrize("name", ["cart", "gripper", "surroundings", "mimic_joints"])
 def test_runs_of_all_kinds_of_methods_agree(name, tmp_path):
     """The variational method with order 2, at closed joints and with a balance of energy."""
     system, T = system_of(name, tmp_path), 0.05
-
-    def end(**method):
-        run = ma.simulate(system, T, output_step=T, certificate=False, **method)
-        assert run.status == "completed" and np.max(np.abs(run.position_drift)) < 1e-10
-        state = state_of(system, run, 1)
-        return np.concatenate([state.position, state.velocity])
-
+    end = partial(end_of, system, T)
     reference = end(integrator="dop853", tolerance=1e-11)
     np.testing.assert_allclose(end(integrator="rodas5p", tolerance=1e-8), reference, atol=1e-8)
     errors = [

@@ -46,11 +46,12 @@ TREES = {
 STEP, TOLERANCE = 1e-3, 1e-9
 
 open_links = view(TreeLinks)
+NO_BASES = np.zeros((0, 7))
 
 
 @kernel
 def move(struct: INTS, i: INT, q: NUMBERS, v: NUMBERS, a: NUMBERS, scratch: TABLE):
-    write_motions(open_links(struct), i, q, v, a, scratch)
+    write_motions(open_links(struct), i, NO_BASES, q, v, a, scratch)
 
 
 @kernel

@@ -78,6 +78,7 @@ def random_structure(rng, parents: Sequence[int]) -> TreeStructure:
     return TreeStructure(
         parents=np.array(parents, dtype=np.int64),
         slides=rng.random(joints) < 0.4,
+        floats=np.zeros(joints, dtype=bool),
         axes=axes / np.linalg.norm(axes, axis=1)[:, None],
         rotations=Rotation.random(joints, random_state=rng).as_matrix(),
         translations=rng.uniform(-0.4, 0.4, (joints, 3)),

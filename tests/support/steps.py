@@ -69,7 +69,11 @@ def state_of(system, run, k):
         run.joint_positions, run.joint_velocities
     ))  # fmt: skip
     pose = run.object_position[k], run.object_quaternion_xyzw[k]
-    return system.state(*pose, q, run.object_twist[k], v)
+    parts = "position", "quaternion_xyzw", "twist"
+    bases = {
+        robot: {part: getattr(base, part)[k] for part in parts} for robot, base in run.bases.items()
+    }
+    return system.state(*pose, q, run.object_twist[k], v, bases=bases)
 
 
 class Slope:
@@ -78,10 +82,17 @@ class Slope:
     def __init__(self, system, state, alpha=0.0, beta=0.0, projects=False):
         self.data = data_at(system, state)
         inner, works = self.data.effect_states(), np.zeros(self.data.arrays.effects.power.size)
-        position = [state.object_position, np.zeros(3), state.position[7:]]
-        self.z = np.concatenate([*position, state.velocity, inner, works])
-        self.base = np.zeros(system.model.layout.nq)
-        self.base[3:7] = state.object_quaternion_xyzw
+        layout = system.model.layout
+        shift, self.base = np.zeros(layout.nv), np.zeros(layout.nq)
+        layout.joint_rates(shift)[:] = layout.joint_positions(state.position)
+        for poses, base_poses, shifts in (
+            (layout.poses(state.position), layout.poses(self.base), layout.twists(shift)),
+            (layout.base_poses(state.position), layout.base_poses(self.base),
+             layout.base_twists(shift)),
+        ):  # fmt: skip
+            for pose, base_pose, of_frame in zip(poses, base_poses, shifts, strict=True):
+                of_frame[:3], base_pose[3:] = pose[:3], pose[3:]
+        self.z = np.concatenate([shift, state.velocity, inner, works])
         self.stage = Stage(alpha=alpha, beta=beta, projects=projects, gap=CLOSED, latest=np.inf)
 
     def __call__(self, t, z):

@@ -267,6 +267,8 @@ def verify(
 
 def _structure(robot: Robot) -> TreeStructure:
     structure = robot.structure()
+    if structure.base_floats:
+        raise ModelError("its base floats")
     depth = most_in_a_row(structure.parents)
     if depth > MOST_JOINTS:
         raise ModelError(
