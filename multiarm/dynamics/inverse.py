@@ -64,6 +64,7 @@ from multiarm.geometry.records import Contact
 from multiarm.geometry.screws import skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
+from multiarm.robots.robot import Robot
 from multiarm.scene.bodies import WORLD, BodyName
 from multiarm.scene.faults import shown
 from multiarm.spatial import quaternion_to_matrix
@@ -185,8 +186,8 @@ def _solve(
             force[r][base.carriers] = base.forces(M[:6] @ a_j[d] - other)
         if left > MISSED_MOTION * (1.0 + np.max(np.abs(a), initial=0.0)):
             missed.append(
-                f"{_noun(data.model, name)} '{name}' ({count_of(len(M), 'joint')}) misses it by "
-                f"{left:.3g} m/s^2, rad/s^2"
+                f"{_noun(data.model, name)} '{name}' ({_freedom(data.model.robots[name])}) misses "
+                f"it by {left:.3g} m/s^2, rad/s^2"
             )
         torque[d] = M @ a_j[d] - free[d] - W @ force[r]
     if missed:
@@ -204,6 +205,11 @@ def _solve(
         base_accelerations=layout.split_bases(a_j),
         residuals=residuals_of(data, acceleration, forces, force, c),
     )
+
+
+def _freedom(robot: Robot) -> str:
+    joints = count_of(len(robot.joint_names), "joint")
+    return f"{joints}; its base floats" if robot.floats else joints
 
 
 class _BaseBalance(NamedTuple):

@@ -36,7 +36,6 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
-from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
@@ -281,21 +280,6 @@ class Model:
             contacts=contacts,
             records=tuple(self.records[row] for row in chosen),
             constants=self.constants._replace(**row_constants(table, layout)),
-        )
-
-
-def require_no_floating_base(model: Model, why: str) -> None:
-    """Refuse a model with robots whose base floats; ``why`` is a clause.
-
-    Raises
-    ------
-    ModelError
-    """
-    floating = [name for name, robot in model.robots.items() if robot.floats]
-    if floating:
-        raise ModelError(
-            f"the base of robot '{floating[0]}' floats: {why}; let it move in directions, such as "
-            "'moves: [x, y, z, yaw]', or fix it"
         )
 
 

@@ -373,13 +373,11 @@ class Robot:
         Raises
         ------
         ModelError
-            When a joint turns and slides at once; when the base floats and carries no joint.
+            When a joint turns and slides at once.
         """
         model, first = self.model, self._first_joint
         motions = [_motion(joint) for joint in list(model.joints)[first:]]
         if self.floats:
-            if not motions:
-                raise ModelError("its base floats and carries no joints")
             first, motions = first - 1, [np.eye(BASE_DOF)[-1], *motions]
         links, moves = range(first, model.njoints), np.array(motions)
         turns, slides = (np.any(moves[:, part] != 0.0, axis=1) for part in (slice(3, 6), slice(3)))

@@ -5,13 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from mechanics import difference
 from scipy.spatial.transform import Rotation
 from tree_models import constant_torques, read_tree_scene, start_of
 from tree_oracle import Motions, evaluation_errors, least_change, solve_minimal
-from tree_scenes import DOWN, humanoid_scene, satellite_scene
+from tree_scenes import (
+    DOWN,
+    floating_scene,
+    hanging_scene,
+    hinge_urdf,
+    humanoid_scene,
+    link_urdf,
+    satellite_scene,
+)
 
 import multiarm as ma
-from multiarm.errors import ControlError, ModelError, MultiarmError, SceneError
+from multiarm.errors import ControlError, ModelError, SceneError, SolverError
+from multiarm.gradients.variational_equation import displaced
 from multiarm.scene import parse_scene
 
 ROUNDING = 1e-12  # of sums of some tens of terms of order 1 to 100
@@ -142,29 +152,148 @@ def test_accelerations_of_a_humanoid_that_holds_a_box():
     assert abs(total[2]) < 1.5 * 9.81 * mass
 
 
+# --- derivatives and inverse dynamics ------------------------------------------------------------
+
+
+def answers(evaluation) -> np.ndarray:
+    return np.concatenate([evaluation.accelerations, *evaluation.contact_forces.values()])
+
+
+def assert_derivatives_are_differences(system: ma.System, state) -> None:
+    derivatives, size = ma.derivatives(system, 0.3, state), 2 * state.layout.nv
+    expected = np.transpose([
+        difference(lambda h, e=e: answers(ma.evaluate(system, 0.3, displaced(state, h * e))), 1e-3)
+        for e in np.eye(size)
+    ])  # fmt: skip
+    scale = np.abs(expected).max(axis=1, keepdims=True) + 1.0
+    matrix = derivatives.matrix[: len(expected), :size]
+    np.testing.assert_allclose(matrix / scale, expected / scale, atol=2e-9)
+
+
+@pytest.mark.parametrize("gravity", [None, DOWN])
+def test_derivatives_are_those_of_differences(gravity, rng):
+    """Also off the joint, and with a base that moves and turns fast."""
+    system = ma.compile_system(parse_scene(satellite_scene(gravity)))
+    assert_derivatives_are_differences(system, random_state(system, rng))
+
+
+def test_derivatives_of_a_body_without_joints_are_those_of_differences(tmp_path, rng):
+    scene = floating_scene(tmp_path / "sat.urdf", link_urdf("root"), "root", [], gravity=DOWN)
+    system = ma.compile_system(parse_scene(scene))
+    state = system.initial_state()
+    state.velocity[:] = rng.normal(size=state.velocity.size)
+    assert_derivatives_are_differences(system, state)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_humanoid_are_those_of_differences(rng):
+    system = ma.compile_system(parse_scene(humanoid_scene()))
+    state = system.initial_state()
+    state.velocity[:] = rng.uniform(-1.0, 1.0, state.velocity.size)
+    assert_derivatives_are_differences(system, state)
+
+
+def test_derivatives_have_the_base_apart_from_the_joints(satellite, rng):
+    state = random_state(satellite, rng)
+    derivatives = ma.derivatives(satellite, 0.3, state)
+    of_base, of_joints = (
+        derivatives.base_accelerations["sat"],
+        derivatives.joint_accelerations["sat"],
+    )
+    blocks = [
+        [of.d_object_pose, of.d_base_poses["sat"], of.d_joint_positions["sat"]]
+        for of in (derivatives.object_acceleration, of_base, of_joints)
+    ]
+    columns = state.layout.displacement_columns
+    np.testing.assert_array_equal(np.block(blocks), derivatives.matrix[:18, columns])
+    faster = state.copy()
+    faster.velocity[6:12] += 1e-6
+    change = ma.evaluate(satellite, 0.3, faster).base_accelerations["sat"]
+    change = (change - ma.evaluate(satellite, 0.3, state).base_accelerations["sat"]) / 1e-6
+    by_twist = of_base.d_base_twists["sat"].sum(axis=1)
+    np.testing.assert_allclose(by_twist, change, atol=1e-4 * np.abs(change).max())
+
+
+def test_the_response_to_a_wrench_on_the_base_is_that_of_an_effect(satellite, rng):
+    """The equations are linear in it: a difference is the derivative."""
+    state = random_state(satellite, rng)
+    derivatives = ma.derivatives(satellite, 0.0, state)
+    rows = slice(0, 18)
+    by_wrench = np.vstack([
+        of.d_base_wrenches["sat"]
+        for of in (
+            derivatives.object_acceleration, derivatives.base_accelerations["sat"],
+            derivatives.joint_accelerations["sat"],
+        )
+    ])  # fmt: skip
+    before = ma.evaluate(satellite, 0.0, state).accelerations[rows]
+    for column, part in enumerate(np.eye(6)):
+        load = {"on": "sat/base_link", "force": part[:3].tolist(), "torque": part[3:].tolist()}
+        effects = {"external_wrenches": [load]}
+        pushed = ma.compile_system(parse_scene(satellite_scene(DOWN, effects=effects)))
+        change = ma.evaluate(pushed, 0.0, state).accelerations[rows] - before
+        np.testing.assert_allclose(by_wrench[:, column], change, atol=1e-11)
+
+
+def assert_torques_make_the_motion(system: ma.System, state, acceleration) -> ma.InverseDynamics:
+    inverse = ma.inverse_dynamics(system, state, acceleration)
+    driven = system.with_control(lambda t, s: inverse.torques)
+    evaluation = ma.evaluate(driven, 0.0, state)
+    np.testing.assert_allclose(evaluation.object_acceleration, acceleration, atol=1e-10)
+    for wanted, found in (
+        (inverse.base_accelerations, evaluation.base_accelerations),
+        (inverse.joint_accelerations, evaluation.joint_accelerations),
+        (inverse.contact_forces, evaluation.contact_forces),
+    ):
+        assert wanted.keys() == found.keys()
+        for name, values in wanted.items():
+            size = max(np.abs(values).max(), 1.0)
+            np.testing.assert_allclose(found[name], values, atol=1e-10 * size)
+    return inverse
+
+
+@pytest.mark.parametrize("gravity", [None, DOWN])
+def test_torques_of_a_wanted_motion_of_the_object_make_that_motion(gravity, rng):
+    """A base that nothing holds moves as the wrench of the hand and the joints on it say."""
+    system = ma.compile_system(parse_scene(satellite_scene(gravity)))
+    state = system.initial_state()
+    inverse = assert_torques_make_the_motion(system, state, rng.normal(size=6))
+    assert np.linalg.norm(inverse.base_accelerations["sat"]) > 0.01
+
+
+def test_a_base_on_a_joint_of_the_world_turns_about_it(rng):
+    system = ma.compile_system(parse_scene(hanging_scene()))
+    state = system.initial_state()
+    inverse = assert_torques_make_the_motion(system, state, rng.normal(size=6))
+    base = inverse.base_accelerations["sat"]
+    np.testing.assert_allclose(base[:3], 0.0, atol=1e-10)  # at rest, at the joint
+    assert np.linalg.norm(base[3:]) > 0.01
+
+
+@pytest.mark.slow
+def test_feet_on_the_ground_carry_what_no_drive_can(rng):
+    system = ma.compile_system(parse_scene(humanoid_scene()))
+    state = system.initial_state()
+    still = assert_torques_make_the_motion(system, state, np.zeros(6))
+    np.testing.assert_allclose(still.base_accelerations["g1"], 0.0, atol=1e-10)
+    assert_torques_make_the_motion(system, state, rng.normal(size=6))
+
+
+def test_a_motion_that_no_drive_can_make_is_refused(tmp_path):
+    """The object is held by the base itself: only the world could move it."""
+    links = link_urdf("root") + link_urdf("thumb") + hinge_urdf("thumb")
+    scene = floating_scene(tmp_path / "sat.urdf", links, "root", [])
+    system = ma.compile_system(parse_scene(scene))
+    with pytest.raises(SolverError, match=r"robot 'sat'.*floats"):
+        ma.inverse_dynamics(system, system.initial_state(), [1.0, 0, 0, 0, 0, 0])
+
+
 # --- what is refused -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "call",
-    [
-        ma.derivatives,
-        ma.linearise,
-        ma.find_equilibrium,
-        lambda system: ma.inverse_dynamics(system, system.initial_state(), np.zeros(6)),
-        lambda system: ma.sensitivities(system, [0.1], parameters=["object.mass"]),
-        lambda system: ma.gradient(system, 0.1, final=lambda t, state: state.object_position[2]),
-    ],
-)
-def test_what_needs_derivatives_names_the_floating_base(satellite, call):
-    with pytest.raises(MultiarmError, match=r"the base of robot 'sat' floats"):
-        call(satellite)
-
-
-@pytest.mark.parametrize(("integrator", "step"), [("rodas5p", None), ("variational", 1e-3)])
-def test_methods_that_need_derivatives_are_refused(satellite, integrator, step):
+def test_the_variational_method_is_refused(satellite):
     with pytest.raises(SceneError, match=r"robot 'sat'.*use another method"):
-        ma.simulate(satellite, 0.01, integrator=integrator, step=step)
+        ma.simulate(satellite, 0.01, integrator="variational", step=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mechanics import difference
 from steps import state_of
-from tree_scenes import cart_scene, turned_gripper
+from tree_scenes import DOWN, cart_scene, satellite_scene, turned_gripper
 
 import multiarm as ma
 from multiarm.gradients.variational_equation import displaced, displacement
@@ -18,6 +18,7 @@ EFFECTS = {"joint_damping": 0.7, "rotor_inertia": 0.2}
 SCENES = {
     "cart": parse_scene({**cart_scene(), "effects": EFFECTS}),
     "gripper": parse_scene({**turned_gripper(), "effects": EFFECTS}),
+    "satellite": parse_scene({**satellite_scene(DOWN), "effects": EFFECTS}),
 }
 
 
@@ -27,7 +28,10 @@ def end_of(system, state=None):
 
 
 def height(_t, state) -> float:
-    return state.object_position[2] + 0.3 * sum(q.sum() for q in state.joint_positions.values())
+    bases = state.bases.values()
+    of_bases = sum(base.pose.sum() + base.twist[0] * base.twist[4] for base in bases)
+    joints = sum(q.sum() for q in state.joint_positions.values())
+    return state.object_position[2] + 0.3 * joints + of_bases
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -53,6 +57,9 @@ def test_gradients_by_the_start_are_differences_of_runs(name, rng):
         ("cart", "joints[1].at.xyz[1]"),
         ("gripper", "object.mass"),
         ("gripper", "robots.gripper.base.rpy[0]"),
+        ("satellite", "robots.sat.base.mass"),
+        ("satellite", "robots.sat.base.rpy[1]"),
+        ("satellite", "robots.sat.base.twist[3]"),
     ],
 )
 def test_sensitivities_by_numbers_of_robots_are_differences_of_runs(name, path):
@@ -70,3 +77,13 @@ def test_sensitivities_by_numbers_of_robots_are_differences_of_runs(name, path):
     np.testing.assert_allclose(
         found.matrix[-1, :, -1], expected, atol=1e-6 * np.abs(expected).max()
     )
+
+
+def test_sensitivities_have_the_bases_apart_from_the_joints():
+    system = ma.compile_system(SCENES["satellite"])
+    found, layout = ma.sensitivities(system, [T], accuracy=1e-8), system.model.layout
+    blocks = found.base_poses["sat"], found.joint_positions["sat"], found.base_twists["sat"]
+    assert [len(block.d_object_pose[0]) for block in blocks] == [6, 6, 6]
+    rows = np.vstack([block.matrix[0] for block in blocks])
+    places = [*layout.displacement_columns[6:], *layout.velocity_columns[6:12]]
+    np.testing.assert_array_equal(rows, found.matrix[0, places])

@@ -138,6 +138,16 @@ def satellite_scene(gravity: list[float] | None = None, **changes: Any) -> dict[
     )  # fmt: skip
 
 
+def hanging_scene(**changes: Any) -> dict[str, Any]:
+    """The satellite at rest, its base on a ball joint in the world, its joints on springs."""
+    base = {"between": ["sat/base_link", "world"], "kind": "ball"}
+    springs = {"stiffness": 200.0, "damping": 50.0, "gravity_compensation": False}
+    joints, control = [{"arm": "sat/hand", "kind": "weld"}, base], {"kind": "joint_pd", **springs}
+    scene = satellite_scene(DOWN, **{"joints": joints, "control": control, **changes})
+    del scene["robots"]["sat"]["base"]["twist"]
+    return scene
+
+
 def humanoid_scene() -> dict[str, Any]:
     """A humanoid robot with both hands on a box and both feet on the ground."""
     feet = {"left_foot": "left_ankle_roll_link", "right_foot": "right_ankle_roll_link"}
