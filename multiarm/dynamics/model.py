@@ -36,6 +36,7 @@ from multiarm.dynamics.effect_kernels import EffectProgram
 from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.held_control import Sampling, with_held_control
 from multiarm.dynamics.layout import Layout
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, SmoothShape
 from multiarm.jit.kernels import Kernel
 from multiarm.jit.rows import fields_of
