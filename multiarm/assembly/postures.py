@@ -71,13 +71,7 @@ def find_postures(
         where, posture = posture_of(scene, name)
         if posture not in (None, SOLVE):
             continue
-        if arms[name].floats:
-            if posture == SOLVE:
-                problem = (
-                    "'solve' finds no postures of a robot whose base floats; write the posture, "
-                    "and where the base is"
-                )
-                faults.append(fault_at(where, problem))
+        if arms[name].floats and posture is None:  # assembly moves the base too
             continue
         joints = _joints_of(scene, name)
         placed = {number: joint for number, joint in joints.items() if joint.at is not None}
@@ -125,7 +119,8 @@ def _search_of(
     None where its posture is not asked for, and the written one leaves gaps that assembly closes.
     """
     wanted = posture_of(scene, arm.name)[1] == SOLVE
-    if "" in arm.tips and len(joints) == 1 and joints[0].second.is_object:
+    alone = "" in arm.tips and not arm.floats
+    if alone and len(joints) == 1 and joints[0].second.is_object:
         wanted = wanted or _is_far(scene, joints[0], arm, resolved.posture)
         return PostureSearch.of_joint(scene, joints[0], arm) if wanted else None
     search = RobotPostureSearch.of_robot(scene, joints, arm, resolved)

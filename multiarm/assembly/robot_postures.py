@@ -37,6 +37,7 @@ from multiarm.robots.terms import TreeStructure
 from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
 from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import counted, shown
+from multiarm.spatial import quaternion_to_matrix
 
 # Connections of which a message tells how far they are from closed.
 MOST_TOLD = 4
@@ -66,6 +67,8 @@ class RobotPostureSearch:
         The objects.
     couplings : tuple of Coupling
         Joints that follow others.
+    floats : bool
+        Whether the base floats; it is sought where it is written.
     """
 
     structure: TreeStructure
@@ -76,6 +79,7 @@ class RobotPostureSearch:
     base_joints: int
     bodies: Sequence[ObjectSpec]
     couplings: tuple[Coupling, ...] = ()
+    floats: bool = False
 
     @classmethod
     def of_robot(
@@ -84,12 +88,13 @@ class RobotPostureSearch:
         """The search that joints of a robot ask for, all of which have a place."""
         number = {name: k for k, name in enumerate(arm.joint_names)}
         return cls(
-            structure=arm.structure(),
+            structure=arm.structure().standing_on(_base_of(arm)) if arm.floats else arm.structure(),
             targets={joint.connection: target_of(scene, joint, arm) for joint in joints},
             limits=arm.position_limits,
             written=resolved.posture,
             base=arm.files.base,
             base_joints=len(resolved.base_joints),
+            floats=arm.floats,
             bodies=[*scene.all_objects.values()],
             couplings=tuple(
                 Coupling(number[c.joint], number[c.leader], c.multiplier, c.offset)
@@ -200,10 +205,8 @@ class RobotPostureSearch:
         if self.base_joints or len(self._lengths.at_rest) < len(self.targets):
             return "choose other places, or let more joints move"
         shift = ", ".join(f"{x:.3f}" for x in np.mean(miss.shifts, axis=0))
-        return (
-            f"move the base by [{shift}] m, let it move (base: {{moves: [x, y, yaw]}}) or choose "
-            "other places"
-        )
+        moving = "" if self.floats else ", let it move (base: {moves: [x, y, yaw]})"
+        return f"move the base by [{shift}] m{moving} or choose other places"
 
     def _clear(
         self, kinematics: TreeKinematics, meshes: bool
@@ -247,7 +250,16 @@ def _link_frame(arm: Robot, body: BodyName, pose: np.ndarray) -> LinkFrame:
         return LinkFrame(-1, pose)
     tip, frame = arm.tips[body.tip], np.eye(4)
     frame[:3, :3], frame[:3, 3] = tip.rotation, tip.translation
-    return LinkFrame(tip.joint - 1, frame @ pose)
+    if tip.chain.size == arm.base_dof:  # on the base
+        return LinkFrame(-1, _base_of(arm) @ frame @ pose if arm.floats else frame @ pose)
+    return LinkFrame(int(tip.chain[-1]) - arm.base_dof, frame @ pose)
+
+
+def _base_of(robot: Robot) -> np.ndarray:
+    """Pose (4, 4) of a floating base as written."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = quaternion_to_matrix(robot.base_pose[3:]), robot.base_pose[:3]
+    return pose
 
 
 class _Lengths:

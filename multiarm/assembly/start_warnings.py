@@ -6,10 +6,11 @@ import numpy as np
 
 from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.postures import overlapping_links, posture_of
-from multiarm.control.gravity_compensation import uncarried_weight
+from multiarm.control.gravity_compensation import uncarried_bases, uncarried_weight
 from multiarm.dynamics.failures import joint_of
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
+from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec
 from multiarm.scene.bodies import object_named
 from multiarm.scene.faults import place
@@ -41,29 +42,50 @@ def _weight_not_carried(system: System) -> list[str]:
         return []
     with system.borrow() as data:
         closed = data.closed
-        left, size = uncarried_weight(closed, system.initial_state()), scene_size(closed)
-    warnings, objects = [], scene.all_objects
+        start, size = system.initial_state(), scene_size(closed)
+        left = uncarried_weight(closed, start)
+        hanging = uncarried_bases(closed, start)
+    return [
+        *_objects_not_carried(system, left, size),
+        *(
+            f"{place(('control',))}: no contact carries {numbers(wrench[:3], 'N')} and "
+            f"{numbers(wrench[3:], 'N m')} of the weight of robot '{name}', about the origin of "
+            "its base, world axes, and it gives way there; join it to the world with fewer free "
+            "motions"
+            for name, wrench in hanging.items()
+            if np.linalg.norm([*wrench[:3], *wrench[3:] / size])
+            > UNCARRIED * np.linalg.norm(scene.gravity) * _mass_of(system.arms[name])
+        ),
+    ]
+
+
+def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[str]:
+    """Warnings of the objects of whose weight some is ``left``, wrenches (6 F,)."""
+    warnings, objects, gravity = [], system.scene.all_objects, system.model.constants.gravity
+    connections, where = system.model.connections.values(), place(("control",))
     for (name, body), wrench in zip(objects.items(), left.reshape(-1, 6), strict=True):
-        weight = body.mass * float(np.linalg.norm(scene.gravity))
+        weight = body.mass * float(np.linalg.norm(gravity))
         if np.linalg.norm([*wrench[:3], *wrench[3:] / size]) <= UNCARRIED * weight:
             continue
         of_object = "the object" if len(objects) == 1 else f"object '{name}'"
-        connections = system.model.connections.values()
         bodies = object_named(name)
         holding = [repr(pair.name) for pair in connections if bodies in (pair.first, pair.second)]
-        where = place(("control",))
         if not holding:
             warnings.append(f"{where}: no joint holds {of_object}, and it falls")
             continue
-        weight_of = f"{of_object}'s" if len(objects) == 1 else f"the {of_object}'s"
+        owner = "the object's" if len(objects) == 1 else f"the '{name}' object's"
         warnings.append(
-            f"{where}: the contacts of {', '.join(holding)} cannot carry all of {weight_of} "
+            f"{where}: the contacts of {', '.join(holding)} cannot carry all of {owner} "
             f"weight, {number(weight, 'N')}: {numbers(wrench[:3], 'N')} and "
             f"{numbers(wrench[3:], 'N m')} about its centre of mass, world axes, are left, and it "
             "gives way there; add an arm, or join one with fewer free motions (`uncarried_wrench` "
             "of an evaluation has what is left)"
         )
     return warnings
+
+
+def _mass_of(robot: Robot) -> float:
+    return float(sum(inertia.mass for inertia in robot.model.inertias))
 
 
 def _joints_off_the_object(system: System) -> list[str]:

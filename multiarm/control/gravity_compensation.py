@@ -19,6 +19,10 @@ inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their
 object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
 and the arms rest.
 
+*Floating bases* have no drives either: with the rows :math:`g_b, W_b` of their wrenches, the
+forces of least norm satisfy :math:`W_b\lambda = g_b` besides, so that joints with the world, and
+the object where others hold it, carry these robots.  The derivatives are differences then.
+
 The twist y has the multipliers of the law (:mod:`multiarm.dynamics.control_laws`): at fixed y an
 arm's torques :math:`g_i - W_i W_{oi}^T y` depend on its own state and the object's, and so does
 :math:`r_i = W_{oi} W_{oi}^T y`.
@@ -40,7 +44,7 @@ from multiarm.control.command_derivatives import (
     prepare_command_derivatives,
 )
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
-from multiarm.dynamics.arrays import CARRYING, open_system
+from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, open_system
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
 from multiarm.dynamics.control_laws import ControlLaw, view_of_work
 from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
@@ -51,9 +55,10 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
-from multiarm.jit.kernels import cfunc, clear, copy, inlined, kernel
+from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
 from multiarm.jit.pointers import address_of, call_whole
 from multiarm.jit.structs import struct_at
+from multiarm.robots.terms import BASE_DOF
 from multiarm.scene.control import GravityCompensationControl
 
 
@@ -79,7 +84,10 @@ def gravity_compensation(address, size, _at, _t):
     torque, weight = data.control.torque, data.control.object_wrench
     clear(weight)
     add_weights(model, weight)
-    static_forces(data.rows.W_o, weight, data.rows.static_force)
+    if data.state.floating_bases.size > 0:
+        carry_with_bases(model, data, work)
+    else:
+        static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
@@ -92,6 +100,26 @@ def add_weights(model, wrench):
     for o in range(model.object_masses.size):
         for k in range(3):
             wrench[6 * o + k] -= model.object_masses[o] * model.gravity[k]
+
+
+@allocating
+def carry_with_bases(model, data, work):
+    """Write the contact forces that carry the objects and the floating bases."""
+    weight, bases = data.control.object_wrench, data.state.floating_bases
+    node, W_o = weight.size, data.rows.W_o
+    directions = np.zeros((W_o.shape[0], node + BASE_DOF * bases.size))
+    wrenches = np.zeros(directions.shape[1])
+    copy(weight, wrenches[:node])
+    for k in range(W_o.shape[0]):
+        copy(W_o[k], directions[k, :node])
+    for b in range(bases.size):
+        i, at = model.floating_bases.block[b], node + BASE_DOF * b
+        first = work.first_contact[i]
+        for l in range(BASE_DOF):
+            wrenches[at + l] = data.control.gravity_torque[bases[b] + l]
+            for k in range(first, work.first_contact[i + 1]):
+                directions[k, at + l] = work.W[i, l, k - first]
+    static_forces(directions, wrenches, data.rows.static_force)
 
 
 @cfunc
@@ -191,6 +219,8 @@ def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
     if not needs_gravity_torque(context.scene):
         return ()
+    if context.start.layout.floating_robots:
+        return (ControlLaw(gravity_compensation),)
     law = ControlLaw(
         gravity_compensation,
         derivative=differentiate_gravity_compensation,
@@ -201,15 +231,26 @@ def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     return (law,)
 
 
+def reach_with(carrying: tuple[ControlLaw, ...]) -> int:
+    """What torques depend on, of which these laws and others of each robot alone are parts."""
+    if not carrying:
+        return LOCAL
+    return COUPLED if carrying[-1].share_derivative is None else CARRYING
+
+
 def gravity_compensation_program(
     _control: GravityCompensationControl, context: ControlContext
 ) -> ControlProgram:
     """The law of gravity compensation; without gravity there is none."""
-    return ControlProgram(carrying_laws(context), reach=CARRYING)
+    carrying = carrying_laws(context)
+    return ControlProgram(carrying, reach=reach_with(carrying))
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:
-    """Constant joint torques that hold the system at rest at its start, shape (n,)."""
+    """Constant joint torques that hold the system at rest at its start, shape (n,).
+
+    Of floating bases what no contact carries.
+    """
     gravity, b = data.model.constants.gravity, data.arrays
     if not np.any(gravity):
         return np.zeros(data.model.layout.rate_count)
@@ -219,8 +260,8 @@ def holding_torque(data: Data, start: State) -> np.ndarray:
     require_ok(data, update_kinematics(data.struct))
     b.control.gravity_torque[:] = np.concatenate(
         [
-            data.model.robots[arm].gravity_torque(angles, gravity)
-            for arm, angles in state.joint_positions.items()
+            data.model.robots[robot].gravity_torque(angles, gravity, state.bases.get(robot))
+            for robot, angles in state.joint_positions.items()
         ]
     )
     b.control.torque[:] = 0.0
@@ -235,3 +276,11 @@ def uncarried_weight(data: Data, start: State) -> np.ndarray:
     """
     holding_torque(data, start)
     return uncarried_wrench(data)
+
+
+def uncarried_bases(data: Data, start: State) -> dict[str, np.ndarray]:
+    """What the contacts leave of the weight of robots whose base floats, wrenches (6,) [N, N m].
+
+    About the origins of their bases, world axes.
+    """
+    return start.layout.split_bases(holding_torque(data, start))

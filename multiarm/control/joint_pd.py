@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.control.gravity_compensation import carrying_laws
+from multiarm.control.gravity_compensation import carrying_laws, reach_with
 from multiarm.control.program import ControlContext, ControlProgram, JointPath
-from multiarm.dynamics.arrays import CARRYING, LOCAL, open_data
+from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
 from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.piecewise import segment_at
@@ -102,5 +102,5 @@ def joint_pd_program(control: JointPDControl, context: ControlContext) -> Contro
     return ControlProgram(
         (ControlLaw(joint_pd, numbers, differentiate_joint_pd), *carrying),
         breakpoints=path.bounds if control.path else np.zeros(0),
-        reach=CARRYING if carrying else LOCAL,
+        reach=reach_with(carrying),
     )

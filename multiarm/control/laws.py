@@ -23,6 +23,7 @@ from multiarm.control.recorded import recorded_program
 from multiarm.control.user_control import Control, function_program, user_program
 from multiarm.dynamics.held_control import Sampling
 from multiarm.errors import ControlError
+from multiarm.scene.bodies import WORLD
 from multiarm.scene.control import (
     ComputedTorqueControl,
     ConstantControl,
@@ -53,30 +54,48 @@ PROGRAMS: dict[type[ControlKind], Callable[[Any, ControlContext], ControlProgram
 def _check_bases(control: ControlKind, context: ControlContext) -> None:
     """Refuse controls that rest on bases, where one floats.
 
-    They carry weight with joint torques, or follow paths of the object with the joints alone.
+    They carry the weight of a robot that nothing holds, or follow paths of the object with the
+    joints alone.
 
     Raises
     ------
     ControlError
     """
-    floating = [name for name, arm in context.arms.items() if arm.floats]
+    floating = [name for name, robot in context.arms.items() if robot.floats]
+    of_object = isinstance(control, ComputedTorqueControl | ObjectImpedanceControl)
+    if floating and (of_object or control.object_waypoints):
+        what = f"kind '{control.kind}'" if of_object else "'path'"
+        raise ControlError(
+            f"control: {what} is not computed with a base that floats, that of robot "
+            f"'{floating[0]}', which drives do not move; control the joints alone: 'joint_pd', "
+            "'harmonic', 'constant', 'recorded', or a function in Python"
+        )
     holds = isinstance(control, HarmonicControl) and control.hold
     carries = (control.compensates_gravity or holds) and context.scene.gravity is not None
-    of_object = isinstance(control, ComputedTorqueControl | ObjectImpedanceControl)
-    if not floating or not (carries or of_object or control.object_waypoints):
+    hovering = [name for name in floating if name not in _standing(context)]
+    if not (carries and hovering):
         return
     what = f"kind '{control.kind}'"
-    if control.object_waypoints and not of_object:
-        what = "'path'"
-    elif holds:
+    if holds:
         what = "'hold: true'"
     elif isinstance(control, JointPDControl | RecordedControl):
         what = "'gravity_compensation: true'"
     raise ControlError(
-        f"control: {what} is not computed with a base that floats, that of robot '{floating[0]}', "
-        "since no drive holds it; control the joints alone: 'joint_pd' with 'gravity_compensation: "
-        "false', 'harmonic' with 'hold: false', 'constant', 'recorded', or a function in Python"
+        f"control: {what} has nothing that carries a base that floats, that of robot "
+        f"'{hovering[0]}': join the robot to the world (`between: [{hovering[0]}/..., world]`), or "
+        "control the joints alone: 'joint_pd' with 'gravity_compensation: false', 'harmonic' with "
+        "'hold: false', 'constant', 'recorded', or a function in Python"
     )
+
+
+def _standing(context: ControlContext) -> set[str]:
+    """Robots whose base does not float, and robots and objects that joints tie to the world."""
+    pairs = [(pair.first, pair.second) for pair in context.data.model.connections.values()]
+    ends = [[body.robot or body.tip for body in pair] for pair in pairs]
+    standing = {name for name, robot in context.arms.items() if not robot.floats} | {str(WORLD)}
+    while reached := {end for pair in ends if standing & {*pair} for end in pair} - standing:
+        standing |= reached
+    return standing
 
 
 def control_program(context: ControlContext) -> ControlProgram:

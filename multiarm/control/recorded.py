@@ -15,11 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.control.gravity_compensation import carrying_laws
+from multiarm.control.gravity_compensation import carrying_laws, reach_with
 from multiarm.control.joint_pd import add_spring, differentiate_springs
 from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.tables import read_table
-from multiarm.dynamics.arrays import CARRYING, LOCAL, OPEN_LOOP, open_data
+from multiarm.dynamics.arrays import OPEN_LOOP, open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
 from multiarm.dynamics.model import ControlSpan
 from multiarm.dynamics.piecewise import polynomial, row_at
@@ -123,7 +123,7 @@ def recorded_program(control: RecordedControl, context: ControlContext) -> Contr
         (law, *carrying),
         breakpoints,
         span,
-        reach=CARRYING if carrying else LOCAL,
+        reach=reach_with(carrying),
     )
 
 

@@ -82,8 +82,9 @@ def turn_base_terms(b, model, data, work):
 
     Pinocchio's base slides along world axes, then turns with an angular velocity in its own:
     :math:`\omega = R\,\omega_b` and :math:`\dot\omega = R\,\dot\omega_b`.  So rows and columns of
-    the inertia and entries of the bias are turned by R, and columns of the Jacobian by
-    :math:`R^T` from the right.  Of the symmetric inertia the lower triangle is filled.
+    the inertia, and entries of the bias and of gravity's forces, are turned by R, and columns of
+    the Jacobian by :math:`R^T` from the right.  Of the symmetric inertia the lower triangle is
+    filled.
     """
     i, R = model.floating_bases.block[b], rotation_of(data.state.base_poses[b, 3:7])
     d = work.first_joint[i + 1] - work.first_joint[i]
@@ -92,7 +93,9 @@ def turn_base_terms(b, model, data, work):
     x, y, z = 3 * stride, 4 * stride, 5 * stride  # rows of the angular velocity
     M, bias = floats_at(addresses.inertia, d * stride), floats_at(addresses.bias, d)
     J = floats_at(addresses.jacobian, 6 * d)
+    gravity_torque = floats_at(addresses.gravity_torque, d)
     put(bias, 3, rotate(R, vec(bias, 3)))
+    put(gravity_torque, 3, rotate(R, vec(gravity_torque, 3)))
     for c in range(3):  # columns of the base's shift
         M[x + c], M[y + c], M[z + c] = rotate(R, (M[x + c], M[y + c], M[z + c]))
     lower = M[x + 3], M[y + 3], M[z + 3], M[y + 4], M[z + 4], M[z + 5]

@@ -358,14 +358,18 @@ class Robot:
         pin.framesForwardKinematics(self.model, data, self.configuration(angles, base))
         return data
 
-    def gravity_torque(self, angles: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """Joint torques that hold the unloaded robot still, shape (n,)."""
+    def gravity_torque(
+        self, angles: np.ndarray, gravity: np.ndarray, base: FrameMotion | None = None
+    ) -> np.ndarray:
+        """Joint torques that hold the unloaded robot still, after a wrench on a floating base.
+
+        Shape (dof,); the wrench is about the base's origin, world axes.
+        """
         model = self.model.copy()
         model.gravity.linear = np.asarray(gravity, dtype=float)
-        torque = pin.computeGeneralizedGravity(
-            model, model.createData(), self.configuration(angles)
-        )
-        return np.array(torque)
+        q = self.configuration(angles, base)
+        torque = np.array(pin.computeGeneralizedGravity(model, model.createData(), q))
+        return self._turn(q) @ torque if self.floats else torque
 
     def structure(self) -> TreeStructure:
         """Geometry and masses of the robot, as copies.

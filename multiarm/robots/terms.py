@@ -241,6 +241,14 @@ class TreeStructure(NamedTuple):
         """The place of a joint's rate among the numbers of a velocity."""
         return joint + (BASE_DOF - 1 if self.base_floats and joint > 0 else 0)
 
+    def standing_on(self, pose: np.ndarray) -> TreeStructure:
+        """Structure of the joints after a floating base, which stands at a pose (4, 4)."""
+        tree = TreeStructure(*(values[1:].copy() for values in self))
+        first = self.parents[1:] == 0
+        tree.translations[first] = pose[:3, 3] + tree.translations[first] @ pose[:3, :3].T
+        tree.rotations[first] = pose[:3, :3] @ tree.rotations[first]
+        return tree._replace(parents=tree.parents - 1)
+
     def part(self, first: int, count: int) -> TreeStructure:
         """Structure of neighbouring joints that neither carry others nor are carried by them."""
         part = TreeStructure(*(values[first : first + count] for values in self))

@@ -64,7 +64,7 @@ class Carrying:
     # "effort": such forces take more than the drives have
     verdict: Literal["carried", "wrench", "pushing", "effort"]
     # what the best contact forces leave of the weight [N] and of its moment about the centre of
-    # mass [N m]
+    # mass [N m], of the object and of robots on floating bases
     force_residual: float
     moment_residual: float
     # [N], of the contact forces whose largest is smallest; None where none carry the object
@@ -90,16 +90,23 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
         data.set_state(0.0, state)
         require_ok(data, update_kinematics(data.struct))
         directions = force_directions(data)  # of all rows, open ones too
-    columns = _force_rows(system)
+    columns, layout = _force_rows(system), system.model.layout
     W_o, W = np.split(directions[:, columns], [6])
     bounds = _force_bounds(system)[:, columns]
-    unloaded = np.concatenate(
-        [system.arms[n].gravity_torque(state.joint_positions[n], gravity) for n in system.arm_names]
-    )
-    scale = row_scale(lever_arm(W_o))
+    unloaded = np.concatenate([
+        system.arms[n].gravity_torque(state.joint_positions[n], gravity, state.bases.get(n))
+        for n in system.arm_names
+    ])  # fmt: skip
+    # contacts carry floating bases too, which have no drives
+    bases = [W_o, *(rows.T for rows in layout.split_bases(W.T).values())]
+    weights = [weight, *layout.split_bases(unloaded).values()]
+    W_o, weight = np.concatenate(bases), np.concatenate(weights)
+    W, unloaded = W[layout.driven_joints], unloaded[layout.driven_joints]
+    scale = np.tile(row_scale(max(lever_arm(W_b) for W_b in bases)), len(bases))
     size = float(np.linalg.norm(weight))
     family, _ = forces_for(scale[:, None] * W_o, scale * weight / size, RANK_TOLERANCE)
     left = W_o @ (size * family.least_norm) - weight
+    forces_left, moments_left = np.reshape(left, (-1, 2, 3)).transpose(1, 0, 2)
     balanced = float(np.linalg.norm(scale * left)) <= 1e-6 * size
     torques = least = largest_force = None
     if balanced:
@@ -117,8 +124,8 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
     return Carrying(
         possible=verdict == "carried",
         verdict=verdict,
-        force_residual=float(np.linalg.norm(left[:3])),
-        moment_residual=float(np.linalg.norm(left[3:])),
+        force_residual=float(np.linalg.norm(forces_left)),
+        moment_residual=float(np.linalg.norm(moments_left)),
         largest_force=largest_force,
         control=_effort_shares(system, np.concatenate(list(evaluation.joint_torques.values()))),
         least=least,

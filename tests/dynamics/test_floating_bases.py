@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from mechanics import difference
 from scipy.spatial.transform import Rotation
-from tree_models import constant_torques, read_tree_scene, start_of
-from tree_oracle import Motions, evaluation_errors, least_change, solve_minimal
+from tree_models import TreeState, constant_torques, read_tree_scene, start_of
+from tree_oracle import Motions, evaluation_errors, least_change, solve_minimal, worst_gap
 from tree_scenes import (
     DOWN,
     floating_scene,
@@ -16,13 +18,16 @@ from tree_scenes import (
     hinge_urdf,
     humanoid_scene,
     link_urdf,
+    quadruped_scene,
     satellite_scene,
 )
 
 import multiarm as ma
+from multiarm.assembly.start_warnings import start_warnings
 from multiarm.errors import ControlError, ModelError, SceneError, SolverError
 from multiarm.gradients.variational_equation import displaced
 from multiarm.scene import parse_scene
+from multiarm.simulation.holding import carrying_capacity
 
 ROUNDING = 1e-12  # of sums of some tens of terms of order 1 to 100
 
@@ -159,7 +164,7 @@ def answers(evaluation) -> np.ndarray:
     return np.concatenate([evaluation.accelerations, *evaluation.contact_forces.values()])
 
 
-def assert_derivatives_are_differences(system: ma.System, state) -> None:
+def assert_derivatives_are_differences(system: ma.System, state, tolerance=2e-9) -> None:
     derivatives, size = ma.derivatives(system, 0.3, state), 2 * state.layout.nv
     expected = np.transpose([
         difference(lambda h, e=e: answers(ma.evaluate(system, 0.3, displaced(state, h * e))), 1e-3)
@@ -167,7 +172,7 @@ def assert_derivatives_are_differences(system: ma.System, state) -> None:
     ])  # fmt: skip
     scale = np.abs(expected).max(axis=1, keepdims=True) + 1.0
     matrix = derivatives.matrix[: len(expected), :size]
-    np.testing.assert_allclose(matrix / scale, expected / scale, atol=2e-9)
+    np.testing.assert_allclose(matrix / scale, expected / scale, atol=tolerance)
 
 
 @pytest.mark.parametrize("gravity", [None, DOWN])
@@ -288,6 +293,132 @@ def test_a_motion_that_no_drive_can_make_is_refused(tmp_path):
         ma.inverse_dynamics(system, system.initial_state(), [1.0, 0, 0, 0, 0, 0])
 
 
+# --- postures ------------------------------------------------------------------------------------
+
+
+def test_a_posture_is_found_from_where_the_base_is_written():
+    """The hand reaches its place on the object, by Pinocchio, and the base stays."""
+    scene = satellite_scene(DOWN)
+    assert scene["joints"][0].keys() >= {"at"}
+    scene["robots"]["sat"]["posture"] = "solve"
+    del scene["robots"]["sat"]["base"]["twist"]
+    trees = read_tree_scene(
+        {**scene, "robots": {"sat": {**scene["robots"]["sat"], "posture": None}}}
+    )
+    start = ma.compile_system(parse_scene(scene)).initial_state()
+    written = scene["robots"]["sat"]["base"]
+    base = start.bases["sat"]
+    np.testing.assert_allclose(base.position, written["xyz"], atol=1e-9)
+    turn = (
+        Rotation.from_quat(base.quaternion_xyzw) * Rotation.from_euler("xyz", written["rpy"]).inv()
+    )
+    assert turn.magnitude() < 1e-9
+    bases = {
+        "sat": {part: getattr(base, part) for part in ("position", "quaternion_xyzw", "twist")}
+    }
+    state = TreeState(
+        start.object_position, start.object_quaternion_xyzw, start.object_twist,
+        dict(start.joint_positions), dict(start.joint_velocities), bases,
+    )  # fmt: skip
+    assert worst_gap(trees, state) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_quadruped_finds_its_feet():
+    """Four feet on their places on the ground, from another posture that is not told."""
+    scene = quadruped_scene(0.0)
+    below = scene["robots"]["solo"]["base"]["xyz"][2]
+    feet = ma.compile_system(parse_scene(scene)).initial_state().joint_positions["solo"]
+    legs = {"fl": (0.19, 0.15), "fr": (0.19, -0.15), "hl": (-0.19, 0.15), "hr": (-0.19, -0.15)}
+    scene["robots"]["solo"]["posture"] = "solve"
+    for joint in scene["joints"][1:]:
+        foot = joint["between"][0].split("/")[1]
+        joint |= {"kind": "ball", "at": {"xyz": [*legs[foot], 0.0]}}
+        del joint["mu"]
+    del scene["effects"]
+    system = ma.compile_system(parse_scene(scene))
+    start = system.initial_state()
+    assert start.bases["solo"].position[2] == pytest.approx(below, abs=1e-9)
+    assert np.max(np.abs(start.joint_positions["solo"] - feet)) > 0.01
+    tips = system.kinematics(start).tips
+    for foot, place in legs.items():
+        np.testing.assert_allclose(tips[f"solo/{foot}"].position, [*place, 0.0], atol=1e-9)
+
+
+# --- weight --------------------------------------------------------------------------------------
+
+WELD_TO_WORLD = [
+    {"arm": "sat/hand", "kind": "weld"},
+    {"between": ["sat/base_link", "world"], "kind": "weld"},
+]
+
+
+def standing_quadruped(**control: Any) -> ma.System:
+    """On four feet that push, with friction; springs in the joints unless there is a ``kind``."""
+    scene = quadruped_scene(0.0)
+    scene["effects"] = {"unilateral_contacts": {}}
+    springs = {"kind": "joint_pd", "stiffness": 20.0, "damping": 0.5}
+    scene["control"] = control if "kind" in control else {**springs, **control}
+    return ma.compile_system(parse_scene(scene))
+
+
+@pytest.mark.parametrize(
+    "control",
+    [
+        {},
+        {"kind": "gravity_compensation"},
+        {"kind": "harmonic", "frequency": 1.0, "amplitude": {"solo": [0.0] * 12}, "hold": True},
+    ],
+)
+def test_feet_carry_a_robot_whose_control_compensates_gravity(control):
+    system = standing_quadruped(**control)
+    evaluation, start = ma.evaluate(system), system.initial_state()
+    assert np.max(np.abs(evaluation.accelerations)) < 1e-10
+    # the torques are those of inverse dynamics, which distributes forces in another way
+    torques = ma.inverse_dynamics(system, start, np.zeros(6)).torques["solo"]
+    np.testing.assert_allclose(evaluation.joint_torques["solo"], torques, atol=1e-10)
+    assert np.max(np.abs(torques)) > 0.1
+    carrying = carrying_capacity(system, evaluation)
+    assert carrying is not None and carrying.possible
+    assert carrying.force_residual < 1e-9 and carrying.moment_residual < 1e-9
+
+
+@pytest.mark.slow
+def test_a_humanoid_stands_with_a_box_in_its_hands():
+    system = ma.compile_system(parse_scene({**humanoid_scene(), "control": "gravity_compensation"}))
+    evaluation, start = ma.evaluate(system), system.initial_state()
+    assert np.max(np.abs(evaluation.accelerations)) < 1e-9
+    torques = ma.inverse_dynamics(system, start, np.zeros(6)).torques["g1"]
+    np.testing.assert_allclose(evaluation.joint_torques["g1"], torques, atol=1e-10)
+
+
+def test_weight_carried_by_the_world_has_the_derivatives_of_differences(rng):
+    """Of the law's torques too, which are differences over 1e-4, at a displaced, moving state."""
+    scene = hanging_scene(joints=WELD_TO_WORLD, control="gravity_compensation")
+    system = ma.compile_system(parse_scene(scene))
+    assert np.max(np.abs(ma.evaluate(system).accelerations)) < 1e-10
+    start = system.initial_state()
+    moved = displaced(start, rng.uniform(-0.3, 0.3, 2 * start.layout.nv))
+    assert_derivatives_are_differences(system, moved, tolerance=1e-7)
+
+
+def test_a_standing_robot_stays_where_it_is_with_stiff_springs():
+    system = standing_quadruped(stiffness=2e4, damping=200.0)
+    run = ma.simulate(system, 0.1, integrator="rodas5p", tolerance=1e-8)
+    assert run.status == "completed", run.message
+    assert np.max(np.abs(run.bases["solo"].twist)) < 1e-7
+
+
+def test_what_of_a_robots_weight_nothing_carries_is_said_at_the_start():
+    """A ball joint carries no moment of the robot that hangs on it."""
+    scene = hanging_scene(control="gravity_compensation")
+    system = ma.compile_system(parse_scene(scene))
+    assert any("weight of robot 'sat'" in text for text in start_warnings(system))
+    welded = hanging_scene(joints=WELD_TO_WORLD, control="gravity_compensation")
+    system = ma.compile_system(parse_scene(welded))
+    assert not any("weight" in text for text in start_warnings(system))
+
+
 # --- what is refused -----------------------------------------------------------------------------
 
 
@@ -310,10 +441,11 @@ def test_controls_that_rest_on_the_base_are_refused(control):
         ma.compile_system(parse_scene(satellite_scene(DOWN, control=control)))
 
 
-def test_postures_are_not_found_beside_a_floating_base():
+def test_a_posture_that_reaches_no_place_from_the_written_base_is_refused():
     scene = satellite_scene()
     scene["robots"]["sat"]["posture"] = "solve"
-    with pytest.raises(SceneError, match=r"robots\.sat\.posture.*base floats"):
+    scene["joints"][0]["at"]["xyz"] = [3.0, 0.0, 0.0]
+    with pytest.raises(SceneError, match=r"robots\.sat\.posture.*move the base by"):
         ma.compile_system(parse_scene(scene))
 
 

@@ -25,18 +25,19 @@ SHORTEST_LEVER = 1e-6
 
 @kernel
 def write_wrench_products(W_o, A, scale):
-    """Write ``W_o W_o^T`` into ``A`` (6 F, 6 F), its rows and columns times ``scale``, written.
+    """Write ``W_o W_o^T`` into ``A``, its rows and columns times ``scale``, written.
 
-    Moments are divided by the longest lever arm, so that all rows are forces.
+    ``W_o`` (N, 6 K) has six columns a body.  Moments are divided by the longest lever arm, so that
+    all rows are forces.
     """
-    longest = SHORTEST_LEVER
+    longest, size = SHORTEST_LEVER, W_o.shape[1]
     for k in range(W_o.shape[0]):
-        for turn in range(3, W_o.shape[1], 6):
+        for turn in range(3, size, 6):
             longest = max(longest, norm(W_o[k, turn : turn + 3], 3))
-    for i in range(scale.size):
+    for i in range(size):
         scale[i] = 1.0 if i % 6 < 3 else 1.0 / longest
-    for i in range(scale.size):
-        for j in range(scale.size):
+    for i in range(size):
+        for j in range(size):
             A[i, j] = 0.0
             for k in range(W_o.shape[0]):
                 A[i, j] += W_o[k, i] * W_o[k, j]
@@ -52,7 +53,7 @@ def factor_wrench_products(W_o, A, scale, pivots):
 
 @inlined
 def solve_wrench_products(A, scale, pivots, x):
-    """Solve ``W_o W_o^T x = b`` with these factors; ``x`` (6 F,) is ``b`` on entry."""
+    """Solve ``W_o W_o^T x = b`` with these factors; ``x`` is ``b`` on entry."""
     for i in range(x.size):
         x[i] *= scale[i]
     solve_lu(A, x.size, pivots, x)
@@ -64,9 +65,9 @@ def solve_wrench_products(A, scale, pivots, x):
 def static_forces(W_o, weight, force):
     r"""Write the contact forces of least norm with :math:`W_o \lambda = w` into ``force`` (N,).
 
-    ``W_o`` (N, 6 F) has one row a contact, ``weight`` are the wrenches (6 F,).  The solution is
-    exact when the contacts can carry them, else that of least squares, with moments over the
-    longest lever arm.
+    ``W_o`` (N, 6 K) has one row a contact, ``weight`` (6 K,) a wrench on each body.  The solution
+    is exact when the contacts can carry the wrenches, else that of least squares, with moments over
+    the longest lever arm.
     """
     y = np.empty(weight.size)
     write_multipliers(W_o, weight, y)
@@ -78,14 +79,14 @@ def static_forces(W_o, weight, force):
 
 @allocating
 def write_multipliers(W_o, wrench, y):
-    """Write the multipliers ``y`` of these forces :math:`W_o^T y` for wrenches (6 F,)."""
-    node = wrench.size
-    A, b, scale = np.empty((node, node)), np.empty(node), np.empty(node)
+    """Write the multipliers ``y`` of these forces :math:`W_o^T y` for wrenches (6 K,)."""
+    size = wrench.size
+    A, b, scale = np.empty((size, size)), np.empty(size), np.empty(size)
     write_wrench_products(W_o, A, scale)
-    for i in range(node):
+    for i in range(size):
         b[i] = scale[i] * wrench[i]
     solve_semidefinite(A, b, y)
-    for i in range(node):
+    for i in range(size):
         y[i] *= scale[i]
 
 
