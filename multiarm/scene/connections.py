@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,6 +103,30 @@ def connection_faults(
                 f"arm {name!r} is connected by no joint; add one, such as "
                 f"{{arm: {name}, kind: weld}}, or remove the arm",
             )
+
+
+def idle_tips(
+    name: str, robot: KnownRobot, joints: Sequence[WrittenJoint], named: AbstractSet[str]
+) -> dict[str, list[str]]:
+    """The tips of a robot that nothing in the scene uses, and the joints that move for them alone.
+
+    ``named`` are names that control and effects mention, of joints, and of links as ``robot/link``.
+    """
+    tips, bodies = robot.tips or {}, {body for joint in joints for body in joint.bodies or ()}
+    in_joints = {body.tip for body in bodies if body.robot == name}
+    used = [
+        end
+        for end in robot.ways
+        if not in_joints.isdisjoint({end, tips.get(end, end)})
+        or not named.isdisjoint({f"{name}/{end}", f"{name}/{tips.get(end, end)}"})
+    ]
+    moved = {joint for end in used for joint in robot.ways[end]}
+    alone = {tip: [j for j in robot.ways.get(tip, ()) if j not in moved] for tip in tips}
+    return {
+        tip: joints_of_tip
+        for tip, joints_of_tip in alone.items()
+        if tip not in used and named.isdisjoint(joints_of_tip)
+    }
 
 
 def _name_faults(joints: Sequence[WrittenJoint], robots: Robots) -> Faults:

@@ -14,8 +14,8 @@ from pydantic import TypeAdapter, ValidationError
 from multiarm.errors import USER_FAULTS, Fault, ModelError
 from multiarm.scene.arms import ArmSpec, examine_arm
 from multiarm.scene.bodies import OBJECT_NAME
-from multiarm.scene.code import located
-from multiarm.scene.connections import WrittenJoint, connection_faults, links_of
+from multiarm.scene.code import located, nodes
+from multiarm.scene.connections import WrittenJoint, connection_faults, idle_tips, links_of
 from multiarm.scene.control import ControlKind, ControlSpec
 from multiarm.scene.effects import EffectsSpec
 from multiarm.scene.faults import Parts, fault_at, listed, place
@@ -289,6 +289,24 @@ def _report_robots(parts: ValidParts, findings: Findings) -> None:
             findings.add_warning(("robots", name), text)
         for text in examination.warnings:
             findings.add_warning(("robots", name), text)
+        _warn_of_idle_tips(name, examination, parts, findings)
+
+
+def _warn_of_idle_tips(name: str, robot: KnownRobot, parts: ValidParts, findings: Findings) -> None:
+    """Warn of tips that neither a joint nor control or effects use."""
+    joints = parts.joints
+    if joints is None or any(joint.bodies is None for joint in joints):
+        return
+    named: set[str] = set()
+    for part in (parts.control, parts.effects):
+        for place_in_part, leaf in nodes(part):
+            named.update(str(key) for key in place_in_part)
+            named.update({leaf} if isinstance(leaf, str) else ())
+    for tip, moved in idle_tips(name, robot, joints, named).items():
+        text = "no joint of the scene names this tip; join it, or leave it out"
+        if moved:
+            text += f", which holds {listed(moved)}: they move for it alone"
+        findings.add_warning(("robots", name, "tips", tip), text)
 
 
 def _check_control(control: ControlKind | None, arms: KnownRobots, findings: Findings) -> None:

@@ -166,12 +166,19 @@ def gain_vector(
 
 
 def joint_value_faults(
-    values: float | Sequence[float] | Mapping[str, float] | None, joint_names: Sequence[str]
+    values: float | Sequence[float] | Mapping[str, float] | None,
+    joint_names: Sequence[str],
+    held: Mapping[str, str] | None = None,
 ) -> Faults:
-    """Faults with respect to the joints."""
+    """Faults with respect to the joints; ``held`` says of other joints why they do not move."""
     names = list(joint_names)
     if isinstance(values, Mapping):
-        return [((j,), unknown("joint", j, names)) for j in values if j not in names]
+        reasons = held or {}
+        return [
+            ((j,), f"joint {j!r} {reasons[j]}" if j in reasons else unknown("joint", j, names))
+            for j in values
+            if j not in names
+        ]
     if values is None or isinstance(values, (float, Real)) or len(values) == len(names):
         return []
     message = (
@@ -198,6 +205,11 @@ class KnownRobot:
     carriers : dict of str to str
         Of a robot, the last joint that moves each link of ``moving``: links with one carrier are
         parts of one rigid body.
+    ways : dict of str to tuple of str
+        Of a robot, the moving joints of its file on the way to each of ``tips``, and to each
+        further link that joints of the scene name.
+    held : dict of str to str
+        Joints that do not move, and why: the end of a sentence about the joint.
     shown_by : str or None
         The command that shows all links.
     """
@@ -207,6 +219,8 @@ class KnownRobot:
     moving: tuple[str, ...] = ()
     tips: Mapping[str, str] | None = None
     carriers: Mapping[str, str] = field(default_factory=dict)
+    ways: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    held: Mapping[str, str] = field(default_factory=dict)
     shown_by: str | None = None
 
     @property
@@ -273,7 +287,7 @@ def gain_faults(
         if names is None or _is_urdf(gain):
             continue
         subject = "" if by_arm else f"arm {arm!r}: "
-        for further, text in joint_value_faults(gain, names):
+        for further, text in joint_value_faults(gain, names, arms[arm].held):
             faults.append(((*where, *further), f"{subject}{text}"))
     if in_urdf is None:
         return faults

@@ -203,6 +203,12 @@ def locked_positions(
             locked[follower.name] = position
         if chain[-1].name not in lock:
             examination.resting[joint.name] = locked[joint.name]
+    examination.held = {
+        name: f"is locked at {position:g} by 'lock' and takes no value here; keep one of both"
+        if name in lock
+        else f"does not move, it is held at {position:g}, and takes no value"
+        for name, position in locked.items()
+    }
     return locked
 
 
@@ -226,7 +232,7 @@ def start_of(
         values = getattr(model, key)
         if values == SOLVE:
             values = None
-        faults = joint_value_faults(values, names)
+        faults = joint_value_faults(values, names, examination.held)
         for where, text in faults:
             examination.add_fault(key, *where, text=text)
         vector = default if faults else joint_vector(values, names, default)

@@ -46,6 +46,8 @@ from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipNa
 Direction = Literal["x", "y", "z", "yaw"]
 _DIRECTIONS: tuple[str, ...] = get_args(Direction)
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}  # of the others: z
+BASE_JOINTS = tuple(f"base_{direction}" for direction in _DIRECTIONS)
+"""Names of the joints that may move a base."""
 FREE: Literal["free"] = "free"
 """How a base moves that floats."""
 DIFFERENTIAL: Literal["differential"] = "differential"
@@ -112,11 +114,15 @@ class RobotBaseSpec(Pose):
                 "other bases are those of their joints, in 'velocity'"
             )
         moves = self.directions
-        if list(moves) != [name for name in _DIRECTIONS if name in moves]:
-            raise invalid(
-                f"'moves' must name each direction once, in the order {', '.join(_DIRECTIONS)}, "
-                f"got {shown(moves)}"
+        in_order = [name for name in _DIRECTIONS if name in moves]
+        if list(moves) != in_order:
+            twice = len(set(moves)) < len(moves)
+            why = (
+                "each direction is named once"
+                if twice
+                else "the joints of a base are in the order x, y, z, yaw: it slides, then turns"
             )
+            raise invalid(f"'moves': {why}; write [{', '.join(in_order)}], got {shown(moves)}")
         for key in ("limits", "effort"):
             idle = [name for name in getattr(self, key) if name not in moves]
             if idle:
@@ -152,7 +158,7 @@ class RobotBaseSpec(Pose):
         turning = "continuous" if limits is None else "revolute"
         lower, upper = limits or (-math.inf, math.inf)
         return JointOutline(
-            name=f"base_{direction}",
+            name=BASE_JOINTS[_DIRECTIONS.index(direction)],
             kind=turning if direction == "yaw" else "prismatic",
             parent="",
             child=root,
@@ -246,7 +252,12 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
             examination.add_fault("tips", name, text=f"no joint that moves carries link {link!r}")
     locked = locked_positions(spec.lock, joints, free, examination)
     _warn_of_held_followers(spec, on_way, joints, locked, examination)
+    names = {joint.name for joint in moving}
+    for end, link in ends.items():
+        way = outline.movable(link)
+        examination.ways[end] = tuple(joint.name for joint in way if joint.name in names)
     posture, velocity = start_of(spec, moving, examination)
+    _warn_of_a_base_that_starts_elsewhere(spec, base, examination)
     package_dirs = mesh_folders(spec, outline, examination)
     if not examination.faults:
         examination.resolved = ResolvedRobot(
@@ -277,14 +288,21 @@ def _with_couplings(
     joints = {joint.name: joint for joint in outline.in_model_order()}
     movable = [name for name, joint in joints.items() if joint.movable]
     for name in spec.lock:
-        if name not in movable:
+        if name in BASE_JOINTS and name not in movable:
+            examination.add_fault("lock", name, text=_base_fault(spec, name))
+        elif name not in movable:
             examination.add_fault("lock", name, text=unknown("joint", name, movable))
     for joint in spec.base.joints(outline.root):
         if joint.name in joints:
             text = f"the robot has a joint {joint.name!r} of its own; rename it in its file"
             examination.add_fault("base", "moves", text=text)
     for name, coupling in spec.mimic.items():
-        if name not in movable:
+        of_base = [joint for joint in (name, coupling.of) if joint in BASE_JOINTS]
+        if of_base and of_base[0] not in movable:
+            text = f"{of_base[0]!r} moves the base; joints of the base neither copy others nor are "
+            text += "copied, couple joints of the robot's file"
+            examination.add_fault("mimic", name, text=text)
+        elif name not in movable:
             examination.add_fault("mimic", name, text=unknown("joint", name, movable))
         elif coupling.of not in movable:
             text = unknown("joint", coupling.of, movable)
@@ -298,10 +316,26 @@ def _with_couplings(
     return joints
 
 
+def _base_fault(spec: RobotSpec, name: str) -> str:
+    """Why 'lock' cannot name a joint of the base, and what holds the base instead."""
+    direction = name.removeprefix("base_")
+    remaining = [other for other in spec.base.directions if other != direction]
+    if spec.base.moves == DIFFERENTIAL:
+        remedy = "a base on wheels needs all of its joints"
+    elif direction in spec.base.directions:
+        remedy = f"to hold it, write moves: [{', '.join(remaining)}]"
+    else:
+        remedy = "this base has no such joint"
+    return f"{name!r} is a joint of the base, and 'lock' holds those of the robot's file; {remedy}"
+
+
 def _joints_on_the_way(
     spec: RobotSpec, outline: RobotOutline, ends: Mapping[str, str], examination: Examination
 ) -> list[JointOutline] | None:
-    """Movable joints on the way to a tip, in the order of the model; None without any link."""
+    """Movable joints on the way to a tip, in the order of the model.
+
+    None where there is no tip, or one of them names no link.
+    """
     if not ends:
         last = sorted(arm_ends(outline), key=lambda link: -len(outline.movable(link)))
         usual = spec.usual_tips(outline) or last or outline.leaves
@@ -312,9 +346,12 @@ def _joints_on_the_way(
         )
         return None
     on_way: dict[str, str] = {}
+    missing = False
     for name, link in ends.items():
         where = ("tips", name) if name in spec.tips else ()
-        for joint in way_to(spec, outline, link, examination, *where) or ():
+        way = way_to(spec, outline, link, examination, *where)
+        missing = missing or way is None
+        for joint in way or ():
             on_way.setdefault(joint.name, link)
         if name in spec.tips and name != link and name in outline.links:
             text = (
@@ -322,6 +359,8 @@ def _joints_on_the_way(
                 "name for the tip"
             )
             examination.add_fault("tips", name, text=text)
+    if missing:
+        return None  # it is not known which joints move
     joints = [j for j in outline.in_model_order() if j.movable and j.name in on_way]
     for joint in joints:
         if joint.name not in spec.lock:
@@ -373,6 +412,22 @@ def _carriers(outline: RobotOutline, foot: str, moving: set[str]) -> dict[str, s
         elif joint.parent in carriers:
             carriers[joint.child] = carriers[joint.parent]
     return {link: carriers[link] for link in outline.links if link in carriers}
+
+
+def _warn_of_a_base_that_starts_elsewhere(
+    spec: RobotSpec, base: tuple[JointOutline, ...], examination: Examination
+) -> None:
+    """Warn of limits without 0, which move a base away from its pose where no posture is given."""
+    if not (spec.posture is None or isinstance(spec.posture, dict)):
+        return
+    for joint in base:
+        if joint.neutral and joint.name not in (spec.posture or {}):
+            unit = "rad" if joint.kind == "revolute" else "m"
+            examination.warnings.append(
+                f"the base does not start where its pose is written: the limits of {joint.name!r}, "
+                f"{joint.lower:g} to {joint.upper:g} {unit}, are without 0, and it starts at "
+                f"{joint.neutral:g} {unit}; move the pose there, or write its position in 'posture'"
+            )
 
 
 def _warn_of_held_followers(

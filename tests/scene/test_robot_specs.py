@@ -115,7 +115,10 @@ def test_the_joints_on_the_way_to_any_tip_move_and_the_rest_is_locked():
     assert resolved.joint_names == ("torso_lift_joint", *ARMS) and resolved.tips == TIPS
     movable = {joint.name for joint in find_robot("tiago_pro").outline.joints if joint.movable}
     assert resolved.locked.keys() == movable - {*resolved.joint_names}
-    (warning,) = scene_with({"tiago": tiago()}).warnings
+    scene = scene_with(
+        {"tiago": tiago()}, weld("tiago/left", "object"), weld("tiago/right", "world")
+    )
+    (warning,) = scene.warnings
     assert warning.startswith("$.robots.tiago: ") and "'lock' chooses" in warning
 
 
@@ -191,7 +194,7 @@ def test_every_link_of_a_robot_on_a_moving_base_moves():
         ({"moves": "free", "limits": {"x": [0, 1]}}, "$.robots.tiago.base"),
         ({"moves": "differential", "limits": {"z": [0, 1]}}, "$.robots.tiago.base"),
         ({"moves": "x"}, "$.robots.tiago.base.moves"),
-        ({"moves": ["yaw", "x"]}, "$.robots.tiago.base"),
+        ({"moves": ["yaw", "x", "y"]}, "$.robots.tiago.base"),
         ({"moves": ["x", "x"]}, "$.robots.tiago.base"),
         ({"moves": ["roll"]}, "$.robots.tiago.base.moves"),
         ({"moves": ["x"], "limits": {"y": [0, 1]}}, "$.robots.tiago.base"),
@@ -205,6 +208,32 @@ def test_bases_that_cannot_be_are_refused_and_nothing_else(base, place):
     with refused(SceneError, place) as caught:
         scene_with({"tiago": tiago(base=base)}, {"arm": "tiago/left", "kind": "weld"})
     assert len(caught.value.faults) == 1
+
+
+@pytest.mark.parametrize("moves", [["x", "y", "yaw"], ["y"], "differential", "free"])
+@pytest.mark.parametrize("key", ["lock", "mimic"])
+def test_joints_of_the_base_are_neither_locked_nor_coupled(key, moves):
+    value = {"lock": 0.1, "mimic": {"of": "torso_lift_joint"}}[key]
+    with refused(SceneError, f"$.robots.tiago.{key}.base_x") as caught:
+        scene_with({"tiago": tiago(base={"moves": moves}, **{key: {"base_x": value}})})
+    assert len(caught.value.faults) == 1
+    assert "unknown" not in str(caught.value)
+
+
+def test_limits_of_a_base_that_move_it_from_its_pose_are_told():
+    base = {"moves": ["x", "yaw"], "limits": {"x": [0.2, 0.5], "yaw": [-1, -0.25]}}
+    joint = {"arm": "tiago/left", "kind": "weld"}
+
+    def warnings(**more) -> list[str]:
+        robot = {"robot": "tiago_pro", "tips": {"left": TIPS["left"]}, "base": base, **more}
+        texts = scene_with({"tiago": robot}, joint).warnings
+        return [text for text in texts if "does not start where its pose is written" in text]
+
+    along, about = warnings()
+    assert "'base_x', 0.2 to 0.5 m" in along and "starts at 0.2 m" in along
+    assert "'base_yaw', -1 to -0.25 rad" in about and "starts at -0.25 rad" in about
+    assert warnings(posture={"base_x": 0.4}) == [about]
+    assert warnings(posture="solve") == warnings(posture=[0.3, -0.5] + 8 * [0.1]) == []
 
 
 # --- joints that copy others ----------------------------------------------------------------------
@@ -282,6 +311,97 @@ def test_a_file_whose_joint_copies_one_that_it_lacks_is_refused(tmp_path):
         scene_with({"hand": {"urdf": path, "tips": {"a": "a1"}}})
     held = {"urdf": path, "tips": {"a": "a1"}, "lock": {"j1": 0.0}, "base": PLANE}
     assert resolve_robot(RobotSpec(**held)).joint_names == ("base_x", "base_y", "base_yaw")
+
+
+# --- joints that are held, and tips ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("key", ["posture", "velocity"])
+def test_a_value_of_a_joint_that_is_held_hears_that_it_is_held(key):
+    lock, left = {"arm_left_1_joint": 0.3}, {"arm": "tiago/left", "kind": "weld"}
+    values = {"arm_left_1_joint": 0.1, "head_1_joint": 0.2, "arm_left_2_joint": 0.1}
+    places = [f"$.robots.tiago.{key}.{joint}" for joint in list(values)[:2]]
+    with refused(SceneError, *places) as caught:
+        scene_with({"tiago": tiago(lock=lock, **{key: values})}, left)
+    locked, resting = map(str, caught.value.faults)
+    assert "locked at 0.3" in locked and "held at 0" in resting
+
+
+def test_gains_and_postures_of_arms_hear_that_a_joint_is_locked():
+    arm = {"robot": "ur5", "lock": {"elbow_joint": 1.2}, "posture": {"elbow_joint": 0.5}}
+    effects = {"joint_damping": {"left": {"elbow_joint": 2.0}}}
+    with refused(SceneError, "$.arms.left.posture.elbow_joint", "joint_damping.left") as caught:
+        scene_with({}, {"arm": "left", "kind": "weld"}, arms={"left": arm}, effects=effects)
+    assert all("locked at 1.2" in str(fault) for fault in caught.value.faults)
+
+
+def test_a_tip_at_no_link_is_one_fault_whatever_names_the_joints_of_its_arm():
+    tips = {**TIPS, "left": "arm_left_7_lik"}
+    joints = {f"arm_left_{k}_joint": 0.1 for k in range(1, 8)}
+    wrench = {"on": "tiago/arm_left_5_link", "force": [0, 0, 1]}
+    with refused(SceneError, "$.robots.tiago.tips.left") as caught:
+        scene_with(
+            {"tiago": tiago(tips=tips, posture=joints, velocity=15 * [0.0])},
+            {"arm": "tiago/left", "kind": "weld"},
+            control={"kind": "joint_pd", "stiffness": {"tiago": joints}, "damping": 1.0},
+            effects={"joint_damping": {"tiago": 15 * [1.0]}, "external_wrenches": [wrench]},
+        )
+    assert len(caught.value.faults) == 1
+
+
+HEAD = {**TIPS, "head": "head_2_link"}
+
+
+def idle(*joints: dict, tips: dict = HEAD, **more) -> list[str]:
+    texts = scene_with({"tiago": tiago(tips=tips)}, *joints, **more).warnings
+    return [text for text in texts if "names this tip" in text]
+
+
+def test_tips_that_nothing_uses_are_told_with_the_joints_that_they_move():
+    both = [{"arm": "tiago/left", "kind": "weld"}, weld("tiago/right", "world")]
+    (head,) = idle(*both)
+    assert head.startswith("$.robots.tiago.tips.head: ")
+    assert "'head_1_joint', 'head_2_joint':" in head and "torso" not in head
+    left, head = idle(both[1])
+    assert "'arm_left_1_joint'" in left and "torso" not in left
+    (second,) = idle(*both, tips={**TIPS, "second": TIPS["left"]})
+    assert second.startswith("$.robots.tiago.tips.second: ") and "alone" not in second
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        {"joints": [weld("tiago/head_2_link", "world")]},
+        {"effects": {"external_wrenches": [{"on": "tiago/head_2_link", "force": [0, 0, 1]}]}},
+        {"effects": {"joint_damping": {"tiago": {"head_1_joint": 0.1}}}},
+        {
+            "control": {
+                "kind": "joint_pd",
+                "damping": 1,
+                "stiffness": {"tiago": {"head_2_joint": 9}},
+            }
+        },
+    ],
+    ids=["joint at its link", "wrench", "effect on its joints", "control of its joints"],
+)
+def test_tips_that_joints_effects_or_control_use_are_not(use):
+    both = [{"arm": "tiago/left", "kind": "weld"}, weld("tiago/right", "world")]
+    joints = [*both, *use.pop("joints", [])]
+    assert idle(*joints, **use) == []
+
+
+def test_two_tips_may_stand_for_one_link():
+    tips = {**TIPS, "again": TIPS["left"]}
+    joints = [{"arm": f"tiago/{tip}", "kind": "weld"} for tip in ("left", "again", "right")]
+    scene = scene_with({"tiago": tiago(tips=tips)}, *joints)
+    assert resolve_robot(scene.robots["tiago"]).tips == tips
+    assert [joint.connection for joint in scene.joints] == [
+        "tiago/left",
+        "tiago/again",
+        "tiago/right",
+    ]
+    with refused(SceneError, "$.joints[2].between"):
+        scene_with({"tiago": tiago(tips=tips)}, *joints[::2], weld("tiago/left", "tiago/again"))
 
 
 # --- what joints connect --------------------------------------------------------------------------
