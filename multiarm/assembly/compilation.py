@@ -20,6 +20,7 @@ from multiarm.assembly.start import (
     with_contacts_located,
     written_start,
 )
+from multiarm.assembly.start_warnings import start_warnings
 from multiarm.control.laws import control_program
 from multiarm.control.program import ControlContext, ControlProgram, JointPath
 from multiarm.dynamics.callbacks import ControlFunction
@@ -107,7 +108,7 @@ def compile_system(
     model = data.model
     if control is None:
         model = with_control(model, control_law(scene, data, start))
-    system = System(scene, model, report, start)
+    system = System(scene, model, report, start, start_warnings if assemble else None)
     system.keep(data.view(model))
     return system if control is None else system.with_control(control, sample_time, sample_delay)
 

@@ -37,7 +37,9 @@ def start_warnings(system: System) -> list[str]:
 
 
 def _weight_not_carried(system: System) -> list[str]:
-    scene = system.scene
+    scene, python = system.scene, system.model.python_control
+    if python is not None and not python.in_scene:
+        return []
     if scene.gravity is None or not any(scene.gravity) or not scene.control.carries:
         return []
     with system.borrow() as data:

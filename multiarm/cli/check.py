@@ -231,9 +231,14 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
         cut += f", next {number(dropped)}"
     parts = ["6 of the object" if freedom.objects == 1 else "6 of each object"]
     parts += ["6 of each floating base"] if freedom.floating_bases else []
+    others = {"couplings": freedom.couplings, "wheels": freedom.wheels}
+    further = "".join(f", {count} of {noun}" for noun, count in others.items() if count)
+    of_connections = freedom.constraints - sum(others.values())
+    sources = f" ({of_connections} of connections{further})" if further else ""
     rows: dict[str, RenderableType] = {
         "degrees of freedom": f"{freedom.degrees_of_freedom} ({', '.join(parts)}, one a joint)",
-        "constraints": f"{freedom.constraints}, of which {freedom.rank} are independent ({cut})",
+        "constraints": f"{freedom.constraints}{sources}, of which {freedom.rank} are independent "
+        f"({cut})",
         "mobility": Text(str(freedom.mobility), "bold"),
     }
     if freedom.redundant_rows:

@@ -169,11 +169,10 @@ def run(
 
 def _remarks(trajectory: Trajectory, system: System) -> list[str]:
     """Warnings about a run, also about a completed one."""
-    from multiarm.assembly.start_warnings import start_warnings
     from multiarm.dynamics.failures import owner_of
     from multiarm.results.limit_use import joint_uses, limit_warnings, peaks
 
-    start, remarks = system.start_report, start_warnings(system)
+    start, remarks = system.start_report, [*system.start_warnings]
     gap = max(start.gaps.values(), default=0.0)
     if gap > NOTABLE_GAP:
         owner = max(start.gaps, key=lambda name: start.gaps[name])

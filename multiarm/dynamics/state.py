@@ -14,7 +14,7 @@ from multiarm.errors import ModelError, MultiarmError
 from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.notation import count_of
 from multiarm.public import public_names
-from multiarm.scene.faults import counted, shown
+from multiarm.scene.faults import counted, shown, unknown
 
 FRAME_PARTS = ("position", "quaternion_xyzw", "twist")
 """What is given of an object or a floating base."""
@@ -207,12 +207,17 @@ def fill_frames(what: str, frames: Mapping[str, FrameMotion], given: Any) -> Non
         if name not in frames:
             noun = "object" if what == "objects" else "robot with a floating base"
             known = f"those are {', '.join(frames)}" if frames else "there is none"
+            if what == "bases":
+                known += "; joints that move a base are among 'joint_positions'"
             raise ModelError(f"{what}: {name!r} is no {noun}; {known}")
-        if not isinstance(motion, Mapping) or motion.keys() - set(FRAME_PARTS):
+        if not isinstance(motion, Mapping):
             raise ModelError(
                 f"{what}[{name!r}]: must be a dict with some of {', '.join(FRAME_PARTS)}, got "
                 f"{shown(motion)}"
             )
+        for key in motion:
+            if key not in FRAME_PARTS:
+                raise ModelError(f"{what}[{name!r}]: {unknown('key', key, FRAME_PARTS)}")
         for part, values in motion.items():
             where, view = f"{what}[{name!r}][{part!r}]", getattr(frames[name], part)
             if part == "quaternion_xyzw":

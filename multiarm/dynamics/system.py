@@ -7,7 +7,7 @@ An evaluation borrows a :class:`multiarm.dynamics.data.Data` of the
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -174,12 +174,18 @@ class StartReport:
                 f"{self.joint_velocity_change:.3g} rad/s or m/s; {self.energy_lost:.3g} J were lost"
             )
         if self.at_limit:
-            lines.append(f"at a limit: {', '.join(self.at_limit)}")
+            lines.append(f"at a limit: {', '.join(map(self._at_limit_in_words, self.at_limit))}")
         if self.outside_limits:
             lines.append(
                 f"written outside its limits, and left there: {', '.join(self.outside_limits)}"
             )
         return lines
+
+    def _at_limit_in_words(self, joint: str) -> str:
+        """A joint at a limit, and where it was before it was moved there."""
+        if joint not in self.pushed_to_limit:
+            return joint
+        return f"{joint} (moved there, from {self.pushed_to_limit[joint]:.4g})"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -198,6 +204,7 @@ class System:
     model: Model
     start_report: StartReport
     _start: State
+    _find_start_warnings: Callable[[System], list[str]] | None = None
     _free_data: deque[Data] = field(default_factory=deque, init=False)
 
     __dir__ = public_names
@@ -232,6 +239,7 @@ class System:
         facts["control"] = self.scene.control.kind if of_scene else "a function in Python"
         facts["effects"] = ", ".join(self.scene.effects.named)
         facts["start"] = "; ".join(self.start_report.lines())
+        facts["warnings"] = "; ".join(self.warnings)
         return facts_html(f"System: {self.scene.name}", facts)
 
     @contextmanager
@@ -313,6 +321,23 @@ class System:
             return RowOwner(name, "", False, False)
         pair = self.model.connections[name]
         return RowOwner(pair.robot, str(pair.second), pair.first.is_link, pair.on_object)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is possible but probably not meant, in the scene and in its start.
+
+        The lines that the command line shows of the scene.
+        """
+        return [*self.scene.warnings, *self.start_warnings]
+
+    @cached_property
+    def start_warnings(self) -> tuple[str, ...]:
+        """Those of the start: weight that nothing carries, joints off the object, links in the way.
+
+        Empty for a start that was not assembled.
+        """
+        find = self._find_start_warnings
+        return () if find is None else tuple(find(self))
 
     def initial_state(self) -> State:
         """The scene's start, on the constraints, as a fresh copy."""

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.start_warnings import start_warnings
 from multiarm.contacts.joint import FrameRow, JointFrame, limits_of, write_relative
+from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
@@ -151,7 +151,9 @@ class Freedom:
     degrees_of_freedom: int  # of the parts: 6 of every object and floating base, one a joint
     objects: int
     floating_bases: int
-    constraints: int
+    constraints: int  # rows of the connections, of couplings, of wheels
+    couplings: int  # of joints that copy others, a row each
+    wheels: int  # bases that do not slip sideways, a row each
     rank: int
     mobility: int
     redundant_rows: list[str]  # contacts that depend on each other
@@ -252,7 +254,7 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         velocity_residual=None if evaluation is None else evaluation.velocity_residual,
         residuals=None if evaluation is None else evaluation.residuals,
         carrying=None if evaluation is None else carrying_capacity(system, evaluation),
-        warnings=scene.warnings + ([] if unknown_joints else start_warnings(system)),
+        warnings=system.warnings,
         not_looked_at=[_not_looked_at(code, scene) for code in unloaded],
     )
 
@@ -280,6 +282,8 @@ def count_freedom(data: Data) -> Freedom:
         objects=data.model.layout.frames,
         floating_bases=len(data.model.layout.floating_robots),
         constraints=matrix.shape[1],
+        couplings=sum(isinstance(record, JointRow) for record in data.model.records),
+        wheels=sum(isinstance(record, WheelRow) for record in data.model.records),
         rank=rank,
         mobility=matrix.shape[0] - rank,
         redundant_rows=[

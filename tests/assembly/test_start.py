@@ -383,7 +383,12 @@ def test_weight_that_the_contacts_cannot_carry_is_told(control):
         )
         warnings = start_warnings(system)
         assert len(warnings) == (kind == "ball")
+        assert system.warnings == [*system.scene.warnings, *warnings]
+        driven = system.with_control(lambda t, state: {})  # which may carry nothing
+        assert driven.warnings == system.scene.warnings
+        assert ma.compile_system(system.scene, assemble=False).warnings == system.scene.warnings
         if kind == "ball":
+            assert "cannot carry all" in system._repr_html_()
             words = "of 'arm' cannot carry all of the object's weight, 19.6 N: 0, 0, 9.81 N and 0, "
             assert words in warnings[0] and warnings[0].startswith("$.control: ")
         if control["kind"] == "harmonic":  # commands nothing afterwards
@@ -411,7 +416,8 @@ def test_a_posture_that_assembly_pushes_into_a_limit_is_told(tmp_path):
     (text,) = start_warnings(system)
     assert "$.arms.arm.posture: 'panda_joint7' is written at 2.89 rad" in text
     assert "limit 2.8973 rad" in text
-    assert inspect_system(system).warnings == [text]
+    assert inspect_system(system).warnings == system.warnings == [text]
+    assert "is written at 2.89 rad" in system._repr_html_()
     path = tmp_path / "scene.yaml"
     path.write_text(dump_scene(built))
     for words in (["check"], ["run", "--out", str(tmp_path / "run.h5")]):

@@ -32,6 +32,30 @@ def test_check_counts_the_freedom_of_linkages(checked):
     # Rows: weld 6, planar 3, two hinges of 5, one coupling.
     assert freedom["degrees_of_freedom"] == 13 and freedom["constraints"] == 6 + 3 + 2 * 5 + 1
     assert freedom["mobility"] == 1 and freedom["rank"] == 12
+    assert (freedom["couplings"], freedom["wheels"]) == (1, 0)
+    assert freedom["constraints"] == sum(len(joint["rows"]) for joint in facts["joints"]) + 1
+
+
+def test_check_names_the_rows_of_wheels_beside_those_of_connections(tmp_path):
+    base = {"moves": "differential", "mass": 12, "inertia": [0.8, 0.8, 0.8]}
+    robot = {"urdf": str(tmp_path / "cart.urdf"), "base": base, "tips": {"plate": "plate"}}
+    (tmp_path / "cart.urdf").write_text(
+        "<robot name='cart'><link name='base'/><link name='plate'/><joint name='mount' "
+        "type='fixed'><parent link='base'/><child link='plate'/></joint></robot>"
+    )
+    scene = {
+        "object": {"mass": 5, "shape": {"box": [0.2, 0.2, 0.2]}},
+        "robots": {"cart": robot},
+        "joints": [{"arm": "cart/plate", "kind": "weld"}],
+    }
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump(scene))
+    result = multiarm("check", path, "--json", tmp_path / "check.json")
+    assert result.exit_code == 0, result.output
+    freedom = json.loads((tmp_path / "check.json").read_text())["freedom"]
+    assert (freedom["constraints"], freedom["wheels"], freedom["couplings"]) == (7, 1, 0)
+    words = " ".join(result.output.split())
+    assert "7 (6 of connections, 1 of wheels), of which 7 are independent" in words
 
 
 def test_check_shows_a_robot_with_its_tips_couplings_and_moving_base(checked):

@@ -101,6 +101,11 @@ def test_wrong_bases_are_refused(satellite, bases):
         satellite.state(bases=bases)
 
 
+def test_a_key_of_a_base_that_is_none_is_named(satellite):
+    with pytest.raises(ModelError, match=r"bases\['sat'\]: unknown key 'positon'; did you mean"):
+        satellite.state(bases={"sat": {"twist": [0.0] * 6, "positon": [0, 0, 0]}})
+
+
 def test_tips_move_as_pinocchio_says(satellite, rng):
     state = random_state(satellite, rng)
     tip, base = satellite.kinematics(state).tips["sat/hand"], state.bases["sat"]

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import multiarm as ma
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.status import OK
-from multiarm.errors import SceneError, SolverError
+from multiarm.errors import ModelError, SceneError, SolverError
 from multiarm.integration.projection import project
 
 CHASSIS = """<robot name='chassis'><link name='base'/><link name='plate'/>
@@ -326,6 +326,12 @@ def test_wheels_stay_in_runs_with_stops(chassis):
 
 
 # --- scenes --------------------------------------------------------------------------------------
+
+
+def test_motions_of_a_base_on_wheels_are_said_to_be_its_joints(chassis):
+    system = ma.compile_system(cart_with_load(chassis, 0.4))
+    with pytest.raises(ModelError, match="'joint_positions'"):
+        system.state(bases={"cart": {"position": [0, 0, 0]}})
 
 
 def test_only_x_y_and_yaw_of_wheels_have_limits_and_drives(chassis):
