@@ -9,7 +9,7 @@ base stands (:mod:`multiarm.assembly.inverse_kinematics`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from multiarm.scene import JointSpec, ObjectSpec, Scene
 
 # Postures at which the search begins: half a millisecond each.
 STARTS = 96
+# Parts of the way from the tips to their places by which a base may be moved to reach these.
+PARTS_OF_SHIFT = (1.0, 1.2, 1.5, 2.0)
 # Angles to the place below this need no words [deg].
 NO_TURN = 1.0
 
@@ -108,13 +110,40 @@ class PostureSearch:
                 f"arm's first joint, and the arm stretches to {beyond[1]:.3f} m"
             )
         turn, (away,) = np.rad2deg(miss.turns[0]), miss.shifts
-        shift = ", ".join(f"{x:.3f}" for x in away)
         turned = f" and {turn:.0f} deg" if turn > NO_TURN and not self.free else ""
+        shift = helpful_shift(away, self._reaches_from)
+        move = "" if shift is None else f"{move_base_by(shift)}, "
         return (
             f"{text}; the nearest posture found leaves {np.linalg.norm(away):.3f} m{turned}; "
-            f"move the base by [{shift}] m{', and turn it,' if turned else ''} or choose another "
-            "place"
+            f"{move}let the base be found (base: {{solve: [x, y, yaw]}}) or choose another place"
         )
+
+    def _reaches_from(self, shift: np.ndarray) -> bool:
+        """Whether a posture is found with the base moved by a shift (3,) [m]."""
+        place = self.place.copy()
+        place[:3, 3] -= shift
+        return replace(self, place=place).best() is not None
+
+
+def helpful_shift(
+    away: np.ndarray, reaches_from: Callable[[np.ndarray], bool]
+) -> np.ndarray | None:
+    """A shift of a base (3,) [m] from which its places are reached; None where none is found.
+
+    Along ``away``, from the tips at the nearest posture to their places, and somewhat beyond, since
+    links are stretched at its end.  Shifts are in whole millimetres, as messages show them.
+    """
+    for part in PARTS_OF_SHIFT:
+        shift = np.round(part * away, 3)
+        if shift.any() and reaches_from(shift):
+            return shift
+    return None
+
+
+def move_base_by(shift: np.ndarray) -> str:
+    """The remedy that moves a base by (3,) [m]."""
+    numbers = ", ".join(f"{x:.3f}" for x in shift + 0.0)
+    return f"move the base by [{numbers}] m"
 
 
 def best_posture(

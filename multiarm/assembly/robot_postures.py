@@ -20,7 +20,14 @@ from itertools import combinations
 
 import numpy as np
 
-from multiarm.assembly.arm_postures import NO_TURN, STARTS, apart_from, best_posture
+from multiarm.assembly.arm_postures import (
+    NO_TURN,
+    STARTS,
+    apart_from,
+    best_posture,
+    helpful_shift,
+    move_base_by,
+)
 from multiarm.assembly.inverse_kinematics import (
     LENGTH,
     TIE,
@@ -204,9 +211,19 @@ class RobotPostureSearch:
     def _remedy(self, miss: Miss) -> str:
         if self.base_joints or len(self._lengths.at_rest) < len(self.targets):
             return "choose other places, or let more joints move"
-        shift = ", ".join(f"{x:.3f}" for x in np.mean(miss.shifts, axis=0))
-        moving = "" if self.floats else ", let it move (base: {moves: [x, y, yaw]})"
-        return f"move the base by [{shift}] m{moving} or choose other places"
+        shift = helpful_shift(np.mean(miss.shifts, axis=0), self._reaches_from)
+        move = "" if shift is None else f"{move_base_by(shift)}, "
+        moving = "" if self.floats else "let it move (base: {moves: [x, y, yaw]}) "
+        return f"{move}{moving}or choose other places" if move or moving else "choose other places"
+
+    def _reaches_from(self, shift: np.ndarray) -> bool:
+        """Whether a posture is found with the base moved by a shift (3,) [m]."""
+        structure, base = self.structure, self.base.copy()
+        on_base = structure.parents < 0
+        translations = structure.translations + np.outer(on_base, shift)
+        base[:3, 3] += shift
+        moved = replace(self, structure=structure._replace(translations=translations), base=base)
+        return moved.best() is not None
 
     def _clear(
         self, kinematics: TreeKinematics, meshes: bool

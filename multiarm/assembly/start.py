@@ -67,8 +67,10 @@ MOVED = 1e-9
 TOUCHING = 1e-9
 
 
-def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, StartReport]:
+def assemble(data: Data, scene: Scene, name: str | None = None) -> tuple[State, StartReport]:
     """Put the state in the data on the constraints; ``name`` is its name in messages.
+
+    Without a name it is the start of the scene.
 
     A state that satisfies the joints to within :func:`projection_tolerance` is not changed.
 
@@ -88,7 +90,8 @@ def assemble(data: Data, scene: Scene, name: str = "the start") -> tuple[State, 
         )
     gaps, rates = gaps_by_owner(data), gap_rates_by_owner(data)
     size = scene_size(data)
-    faults = too_far(data, scene, name, size)
+    of_scene, name = name is None, name or "the start"
+    faults = too_far(data, scene, name, size, of_scene)
     if faults:
         raise SceneError(faults)
     limits, outside = _limits(data, written)

@@ -19,7 +19,7 @@ from multiarm.dynamics.contact_geometry import wrench_rows
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
 from multiarm.geometry.records import Contact
-from multiarm.scene import Scene
+from multiarm.scene import JointSpec, Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.values import of_surroundings
 
@@ -90,12 +90,13 @@ def listed_gaps(data: Data) -> str:
     return ", ".join(map(str, largest_gaps(data)))
 
 
-def too_far(data: Data, scene: Scene, name: str, size: float) -> list[str]:
+def too_far(data: Data, scene: Scene, name: str, size: float, of_scene: bool) -> list[str]:
     """Faults of gaps in the data that are too large to be closed in a scene of a ``size`` [m].
 
+    ``of_scene`` says that the state is the start of the scene.
     Contacts are closed from a tenth of the size; couplings from as far as joints may move.
     """
-    kinds = {joint.connection: joint.kind for joint in scene.joints}
+    joints = {joint.connection: joint for joint in scene.joints}
     limit, limit_of_joints = 0.1 * size, FARTHEST * max(1.0, size)
     faults, near = [], []
     for largest in largest_gaps(data):
@@ -111,20 +112,32 @@ def too_far(data: Data, scene: Scene, name: str, size: float) -> list[str]:
             )
             continue
         remedy = "or `at` (or leave `at` out to join the object where the tip is)"
-        if kinds[owner] == "contacts":
+        if joints[owner].kind == "contacts":
             remedy = (
                 "or the contact's geometry (of the arm in the tip's frame, of the object in its)"
             )
         elif not is_tip_of_arm(data.model.connections[owner]):
             remedy = "or `at` and `at_first`"
+        search = _whether_a_posture_is_sought(scene, joints[owner]) if of_scene else ""
         faults.append(
             f"{name} does not satisfy {joint_of(data.model, owner)}: a gap of {gap:.4g} m is left "
             f"at '{row.name}', up to {limit:.3g} m is assembled; correct the posture, the base "
-            f"{remedy}"
+            f"{remedy}{search}"
         )
     if faults and near:
         faults[-1] += f" (gaps of the other joints: {', '.join(near)})"
     return faults
+
+
+def _whether_a_posture_is_sought(scene: Scene, joint: JointSpec) -> str:
+    """What to say of ``posture: solve`` where a joint of a robot is far from closed."""
+    robots = [scene.robots.get(body.robot) for body in (joint.first, joint.second)]
+    if any(robot is not None and robot.base.floats for robot in robots):
+        return "; no posture is sought, and 'posture: solve' not possible, while the base floats"
+    spec = robots[0] or scene.arms.get(joint.first.robot)
+    if spec is None or spec.posture is None or joint.at is None or joint.as_listed:
+        return ""
+    return "; or let `posture: solve` find a posture"
 
 
 def cannot_close(data: Data, name: str, gaps: str, linkage: Linkage, end: Closing) -> list[str]:

@@ -563,9 +563,20 @@ def test_a_robot_that_cannot_hold_its_places_hears_why():
         posture_in(robot_scene(far))
     (text,) = caught.value.faults
     assert "'b/left'" in text and "$.joints[0].at, $.joints[1].at" in text
+    assert "move the base by" not in text  # no shift brings places together that are apart
     with refused(SceneError, "$.robots.b.posture") as caught:
         posture_in(robot_scene([{"arm": "b/left", "kind": "weld"}], posture="solve"))
     assert "$.joints[0].at" in caught.value.faults[0]
+
+
+@pytest.mark.parametrize("there", [[-1.6, 0.0, 0.0], [0.2, 0.0, -1.5]])
+def test_a_robot_that_is_told_to_move_reaches_its_places_from_there(there):
+    with refused(SceneError, "$.robots.b.posture") as caught:
+        posture_in(robot_scene(sides(), base={"xyz": there}))
+    shift = caught.value.faults[0].split("move the base by [")[1].split("]")[0].split(", ")
+    nearer = {"xyz": (np.array(there) + np.array(shift, dtype=float)).tolist()}
+    system = ma.compile_system(robot_scene(sides(), base=nearer))
+    assert max(system.start_report.gaps.values()) < CLOSED
 
 
 def test_a_posture_that_is_written_stays():

@@ -122,6 +122,27 @@ def test_starts_too_far_off_are_refused_with_the_connections_that_are():
         ma.compile_system(parse_scene(scene))
 
 
+def test_a_start_that_is_too_far_off_hears_whether_a_posture_can_be_sought():
+    scene = satellite_scene()
+    scene["joints"][0]["at"] = {"xyz": [0, 0, 0]}
+    scene["object"]["pose"]["xyz"][0] += 1.5
+
+    def refusal() -> str:
+        with pytest.raises(SceneError) as caught:
+            ma.compile_system(parse_scene(scene))
+        return str(caught.value)
+
+    assert "'posture: solve' not possible, while the base floats" in refusal()
+    del scene["robots"]["sat"]["posture"]
+    assert "'posture: solve' not possible, while the base floats" in refusal()
+    scene["robots"]["sat"] = {"robot": "ur5", "tips": {"hand": "tool0"}, "posture": [0.1] * 6}
+    assert "let `posture: solve` find a posture" in refusal()
+    system = ma.compile_system(parse_scene(scene), assemble=False)
+    with pytest.raises(ModelError) as caught:  # a posture is not what is wrong with a state
+        ma.simulate(system, 0.1, state=system.initial_state())
+    assert "does not satisfy" in str(caught.value) and "solve" not in str(caught.value)
+
+
 def scene_size_at_start(scene) -> float:
     from multiarm.assembly.linkage import scene_size
     from multiarm.dynamics.contact_geometry import place_state
