@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from multiarm.cli.catalogue import Card, Section, show
 from multiarm.cli.options import JsonFile
-from multiarm.notation import count_of, number
+from multiarm.errors import ModelError
+from multiarm.notation import count_of, number, numbers
 
 if TYPE_CHECKING:
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
 
 FILE = "a file"
+ALIGNED = 1e-8  # of the cosine: directions within 0.01 degrees are an axis
 _MOST_TIPS = 4  # in an example of a robot with several
 
 
@@ -53,7 +57,7 @@ def robots(
         "Robots",
         "robot",
         "robots",
-        {robot_name: _card(entry) for robot_name, entry in known.items()},
+        {robot: _card(entry, with_axes=name is not None) for robot, entry in known.items()},
         heads=("robot", "joints", "where it is from"),
         note=f"To be fetched first (python -m {DESCRIPTIONS} pull NAME): {', '.join(left)}"
         if left
@@ -62,14 +66,14 @@ def robots(
     show("robots", {"robots": section}, name, json)
 
 
-def _card(entry: RobotEntry) -> Card:
+def _card(entry: RobotEntry, with_axes: bool) -> Card:
     from multiarm.scene.robots import arm_ends
 
     outline = entry.outline
     ends = entry.tips or arm_ends(outline)
     counts = {tip: len(outline.movable(tip)) for tip in ends}
     chains = {outline.movable(tip): tip for tip in ends}
-    numbers = sorted({*counts.values()}) or [0]
+    sizes = sorted({*counts.values()}) or [0]
     movable = [joint for joint in outline.joints if joint.movable]
     links: dict[str, list[str]] = {joint.name: [] for joint in movable}
     for link in filter(outline.ends_an_arm, outline.links):
@@ -77,16 +81,18 @@ def _card(entry: RobotEntry) -> Card:
     twice = ", ".join(sorted({joint.name for joint in outline.joints} & {*outline.links}))
     trouble = {"cannot be used": f"joint and link are both named {twice}"} if twice else {}
     label = "tip" if len(ends) == 1 else "tips"
+    axes = _tip_axes(entry, outline, ends) if with_axes and not twice else []
     return Card(
         entry.name,
         f"from {entry.source}",
         [],
         _snippet(entry, outline, ends) if ends else "",
-        count=" to ".join(map(str, numbers[:1] + numbers[1:][-1:])),
+        count=" to ".join(map(str, sizes[:1] + sizes[1:][-1:])),
         facts={
             "file": str(entry.urdf),
             label: ", ".join(f"{tip} ({count_of(n, 'joint')})" for tip, n in counts.items())
             or "none",
+            **({f"axes of the {label}": "\n".join(axes)} if axes else {}),
             **trouble,
         },
         listed={label: " | ".join(chains.values()), **trouble},
@@ -106,6 +112,39 @@ def _card(entry: RobotEntry) -> Card:
             "trouble": trouble.get("cannot be used"),
         },
     )
+
+
+def _tip_axes(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> list[str]:
+    """How the frame of each tip lies; without those that are not at the end of an arm.
+
+    The axis of the last joint in the axes of the tip, and the z axis of the tip in those of the
+    root link with all joints at 0.
+    """
+    from multiarm.arms.arm import Arm, ArmFiles
+
+    lines = []
+    for tip in filter(outline.ends_an_arm, ends):
+        chain = outline.movable(tip)
+        held = {j.name: j.neutral for j in outline.joints if j.movable and j not in chain}
+        mjcf = entry.urdf.suffix == ".xml"
+        with suppress(ModelError):  # of files that Pinocchio cannot use
+            robot = Arm(tip, ArmFiles(entry.urdf, (), np.eye(4), {"": tip}, held, mjcf=mjcf))
+            axis = robot.tips[""].rotation.T @ robot.structure().axes[-1]
+            z = robot.tip_pose(np.zeros(len(chain)))[:3, 2]
+            motion = "slides along" if chain[-1].kind == "prismatic" else "turns about"
+            lines.append(
+                f"{tip}: {chain[-1].name} {motion} its {_direction(axis)}; with all joints at 0 "
+                f"its z points along {_direction(z)} of the base"
+            )
+    return lines
+
+
+def _direction(axis: np.ndarray) -> str:
+    """An axis of a frame by its name, such as ``-y``; another direction by its components."""
+    for k, name in enumerate("xyz"):
+        if abs(axis[k]) > 1.0 - ALIGNED:
+            return name if axis[k] > 0.0 else f"-{name}"
+    return f"[{numbers(np.round(axis, 4) + 0.0)}]"
 
 
 def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> str:

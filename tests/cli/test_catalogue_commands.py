@@ -99,6 +99,29 @@ def test_a_robot_in_full_has_its_joints_with_limits_and_the_links_that_can_be_ti
     assert all(name in full for name in names) and "-2.897 to 2.897 rad" in full
 
 
+@pytest.mark.parametrize(("robot", "tip"), [("panda", "panda_hand_tcp"), ("kinova", None)])
+def test_a_robot_in_full_says_how_its_tip_lies(robot, tip):
+    """By the Jacobian in the tip's axes, and by the pose with all joints at 0."""
+    entry = available_robots()[robot]
+    tip = tip or entry.tip
+    model = pin.buildModelFromUrdf(str(entry.urdf))
+    data, q = model.createData(), pin.neutral(model)
+    last = entry.outline.movable(tip)[-1].name
+    J = pin.computeFrameJacobian(model, data, q, model.getFrameId(tip), pin.ReferenceFrame.LOCAL)
+    axis = J[3:, model.joints[model.getJointId(last)].idx_v]
+    pin.framesForwardKinematics(model, data, q)
+    z = data.oMf[model.getFrameId(tip)].rotation[:, 2]
+
+    def word(direction: np.ndarray) -> str:
+        k = int(np.argmax(np.abs(direction)))
+        assert abs(direction[k]) == pytest.approx(1.0, abs=1e-9)
+        return ("-" if direction[k] < 0 else "") + "xyz"[k]
+
+    text = " ".join(shown("robots", robot).split())
+    assert f"{tip}: {last} turns about its {word(axis)}; with all joints at 0 its z" in text
+    assert f"points along {word(z)} of the base" in text
+
+
 def test_a_file_is_shown_like_a_robot_and_says_if_it_has_no_arm(tmp_path):
     text = Path(available_robots()["planar_2r"].urdf).read_text(encoding="utf-8")
     path = tmp_path / "own.urdf"
