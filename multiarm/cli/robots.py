@@ -120,7 +120,7 @@ def _tip_axes(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -
     The axis of the last joint in the axes of the tip, and the z axis of the tip in those of the
     root link with all joints at 0.
     """
-    from multiarm.arms.arm import Arm, ArmFiles
+    from multiarm.robots.robot import Robot, RobotFiles
 
     lines = []
     for tip in filter(outline.ends_an_arm, ends):
@@ -128,7 +128,7 @@ def _tip_axes(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -
         held = {j.name: j.neutral for j in outline.joints if j.movable and j not in chain}
         mjcf = entry.urdf.suffix == ".xml"
         with suppress(ModelError):  # of files that Pinocchio cannot use
-            robot = Arm(tip, ArmFiles(entry.urdf, (), np.eye(4), {"": tip}, held, mjcf=mjcf))
+            robot = Robot(tip, RobotFiles(entry.urdf, (), np.eye(4), {"": tip}, held, mjcf=mjcf))
             axis = robot.tips[""].rotation.T @ robot.structure().axes[-1]
             z = robot.tip_pose(np.zeros(len(chain)))[:3, 2]
             motion = "slides along" if chain[-1].kind == "prismatic" else "turns about"
