@@ -359,12 +359,16 @@ class Trajectory:
 
     @property
     def tip_positions(self) -> Mapping[str, np.ndarray]:
-        """Arm -> origin of its tip frame in world axes, shape (K, 3) [m]."""
+        """Arm, connection -> origin of its tip frame in world axes, shape (K, 3) [m].
+
+        Of a connection between other bodies the frame of the first one, where that is a tip or a
+        link; connections of the object with the world have none.
+        """
         return self._by_arm("tip_position")
 
     @property
     def tip_quaternions_xyzw(self) -> Mapping[str, np.ndarray]:
-        """Arm -> orientation of its tip frame, scalar last, shape (K, 4).
+        """Arm, connection -> orientation of its tip frame, scalar last, shape (K, 4).
 
         The first has ``w >= 0``; the others continue the one before, without jumps of the sign.
         """
@@ -372,7 +376,7 @@ class Trajectory:
 
     @property
     def tip_twists(self) -> Mapping[str, np.ndarray]:
-        """Arm -> velocity of the tip's origin [m/s], angular velocity [rad/s], world, (K, 6)."""
+        """Arm, connection -> velocity of the tip's origin [m/s], angular one [rad/s], (K, 6)."""
         return self._by_arm("tip_twist")
 
     @property
