@@ -62,7 +62,7 @@ def check(
         system, left = compile_for_inspection(loaded, arms)
         progress(0, 0, "inspecting")
         inspection = inspect_system(system, left)
-        print_warnings(inspection.warnings[len(loaded.warnings) :])
+        print_warnings(system.start_warnings)
     print_warnings(inspection.not_looked_at)
     print_warnings(overload_warnings(inspection.carrying))
     if json is not None:

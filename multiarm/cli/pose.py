@@ -11,7 +11,9 @@ from multiarm.errors import SceneError
 from multiarm.terminal.console import output
 
 if TYPE_CHECKING:
+    from multiarm.dynamics.system import System
     from multiarm.scene import ArmSpec
+    from multiarm.scene.trunks import ArmGroup
 
 
 def pose(scene: SceneFile, no_code: NoCode = False) -> None:
@@ -39,9 +41,20 @@ def pose(scene: SceneFile, no_code: NoCode = False) -> None:
     system = compile_system(loaded)
     positions = system.initial_state().joint_positions
     for name in open_ones:
-        base = _base(loaded.arms[name], system.scene.arms[name]) if name in loaded.arms else ""
-        text = f"{base}posture: {_written(positions[name])}"
+        if name not in positions:  # an arm on a trunk that moves
+            text = f"posture: {_written(_of_robot(system, loaded.group_of(name), name))}"
+        else:
+            base = _base(loaded.arms[name], system.scene.arms[name]) if name in loaded.arms else ""
+            text = f"{base}posture: {_written(positions[name])}"
         output().print(f"{name}: {{{text}}}", markup=False, soft_wrap=True)
+
+
+def _of_robot(system: System, group: ArmGroup, arm: str) -> list[float]:
+    """Joint positions of an arm that is simulated as part of a robot, from base to tip."""
+    names = system.arms[group.name].joint_names
+    positions = system.initial_state().joint_positions[group.name]
+    table = dict(zip(names, positions.tolist(), strict=True))
+    return [table[joint] for joint in group.joints[arm]]
 
 
 def _base(written: ArmSpec, solved: ArmSpec) -> str:

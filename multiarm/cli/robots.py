@@ -8,7 +8,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from multiarm.cli.catalogue import Card, Section, show
@@ -17,6 +16,8 @@ from multiarm.errors import ModelError
 from multiarm.notation import count_of, number, numbers
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from multiarm.scene import JointOutline, RobotEntry, RobotOutline
 
 FILE = "a file"
@@ -120,6 +121,8 @@ def _tip_axes(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -
     The axis of the last joint in the axes of the tip, and the z axis of the tip in those of the
     root link with all joints at 0.
     """
+    import numpy as np
+
     from multiarm.robots.robot import Robot, RobotFiles
 
     lines = []
@@ -144,7 +147,7 @@ def _direction(axis: np.ndarray) -> str:
     for k, name in enumerate("xyz"):
         if abs(axis[k]) > 1.0 - ALIGNED:
             return name if axis[k] > 0.0 else f"-{name}"
-    return f"[{numbers(np.round(axis, 4) + 0.0)}]"
+    return f"[{numbers(axis.round(4) + 0.0)}]"
 
 
 def _snippet(entry: RobotEntry, outline: RobotOutline, ends: tuple[str, ...]) -> str:

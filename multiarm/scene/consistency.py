@@ -29,7 +29,13 @@ from multiarm.scene.resolution import Examination, resting_warning
 from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
-from multiarm.scene.trunks import ArmGroup, arm_groups, group_faults, group_warnings
+from multiarm.scene.trunks import (
+    ArmGroup,
+    arm_groups,
+    group_faults,
+    group_warnings,
+    one_robot_faults,
+)
 
 
 @dataclass(frozen=True)
@@ -279,6 +285,9 @@ def _report_robots(parts: ValidParts, findings: Findings) -> None:
     findings.arm_groups = arm_groups(parts.arms, of_arms)
     for group in findings.arm_groups:
         for where, text in group_faults(group, parts.arms, of_arms):
+            findings.add_fault(where, text)
+        further = {"control": parts.control, "effects": parts.effects}
+        for where, text in one_robot_faults(group, parts.arms, further):
             findings.add_fault(where, text)
         for where, text in group_warnings(group, parts.arms, of_arms):
             findings.add_warning(where, text)

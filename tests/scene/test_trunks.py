@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
+from commands import multiarm
 from mechanics import scene_of
 from refusals import refused
 from repository import SCENES
@@ -175,12 +177,11 @@ def test_a_replay_shows_every_link_once_and_the_trunk_in_its_own_colours(moving)
 @pytest.mark.parametrize(
     ("left", "right"),
     [
-        ({"lock": {}}, {"lock": {}}),
         ({}, {"lock": {}}),
         ({}, {"lock": {"torso_lift_joint": 0.2}}),
         ({"lock": {**TORSO, "head_1_joint": 0.1}}, {"lock": {**TORSO, "head_1_joint": 0.2}}),
     ],
-    ids=["trunk moves", "one arm holds it", "held at two positions", "head at two positions"],
+    ids=["one arm holds it", "held at two positions", "head at two positions"],
 )
 def test_arms_of_one_robot_have_to_agree_on_the_rest(left, right):
     with refused(SceneError, "$.arms") as caught:
@@ -223,3 +224,120 @@ def test_a_lock_of_a_joint_that_the_other_arm_moves_is_told_to_be_idle():
         text == "$.arms.left: 'lock' has no effect on 'arm_right_2_joint', which arm 'right' moves"
         for text in scene.warnings
     )
+
+
+# --- a trunk that moves ---------------------------------------------------------------------------
+
+LIFT, LEFT, RIGHT = "torso_lift_joint", "arm_left_2_joint", "arm_right_2_joint"
+GROUP, DOWN = "left_and_right", [0, 0, -1]
+
+
+def loose(side: str, **more) -> dict:
+    return tiago(side, **{"lock": {}, **more})
+
+
+def one_robot(joints: list[dict], **more):
+    tips = {side: f"arm_{side}_tool_link" for side in ("left", "right")}
+    robots = {GROUP: {"robot": "tiago_pro", "tips": tips, **more}}
+    return scene_of({}, joints, robots=robots)
+
+
+WELDS = [{"arm": f"{GROUP}/{side}", "kind": "weld"} for side in ("left", "right")]
+
+
+def test_arms_whose_trunk_moves_are_one_robot_with_their_names_as_tips():
+    """A box that moves, damping in all joints: as the robot that the arms are, to the last bit."""
+    base = {"xyz": [0.1, 0.0, 0.05], "rpy": [0.0, 0.0, 0.2]}
+    head, twist = {"head_1_joint": 0.3}, [0.1, 0.0, -0.1, 0.2, 0.1, 0.0]
+    arms = pair(
+        loose("left", base=base, posture=[0.1, 0.2, *6 * [0.3]], lock=head, velocity={LEFT: 0.1}),
+        loose("right", base=base, posture={LIFT: 0.1, RIGHT: -0.4}),
+    )
+    left = {LIFT: 0.1, **{f"arm_left_{k}_joint": 0.3 for k in range(1, 8)}, "arm_left_1_joint": 0.2}
+    robot = one_robot(
+        WELDS, base=base, lock=head, posture={**left, RIGHT: -0.4}, velocity={LEFT: 0.1}
+    )
+    scenes = [
+        scene.replace({"object.pose": {"xyz": [0.6, 0, 0.9]}, "object.twist": twist})
+        .replace(effects={"joint_damping": 2.0})
+        for scene in (arms, robot)
+    ]  # fmt: skip
+    systems = [ma.compile_system(scene) for scene in scenes]
+    starts = [system.initial_state() for system in systems]
+    assert np.array_equal(starts[0].position, starts[1].position)
+    assert np.array_equal(starts[0].velocity, starts[1].velocity) and starts[0].velocity.any()
+    ours, theirs = map(ma.evaluate, systems)
+    assert np.array_equal(ours.object_acceleration, theirs.object_acceleration)
+    assert np.array_equal(ours.joint_accelerations[GROUP], theirs.joint_accelerations[GROUP])
+    for side in ("left", "right"):
+        forces = ours.contact_forces[side], theirs.contact_forces[f"{GROUP}/{side}"]
+        assert np.array_equal(*forces) and forces[0].any()
+    assert list(systems[0].kinematics().tips) == [f"{GROUP}/left", f"{GROUP}/right"]
+    assert any(f"robot {GROUP!r}" in text and LIFT in text for text in arms.warnings)
+    again = ma.compile_system(arms, like=ma.compile_system(arms))
+    assert again.arms[GROUP].joint_names[0] == LIFT
+
+
+def test_joints_keep_their_names_where_arms_are_one_robot():
+    joints = [*JOINTS, {"between": ["left", "world"], "kind": "ball", "at": {}}]
+    scene = scene_of({side: loose(side) for side in ("left", "right")}, joints)
+    connections = ma.compile_system(scene, assemble=False).model.connections
+    assert list(connections) == ["left", "right", "left-world"]
+    assert [str(pair.first) for pair in connections.values()] == [
+        f"{GROUP}/{side}" for side in ("left", "right", "left")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "more", "place"),
+    [
+        ({"posture": {LIFT: 0.1}}, {"posture": {LIFT: 0.2}}, {}, "$.arms.right.posture"),
+        ({"posture": "solve"}, {"posture": {LIFT: 0.2}}, {}, "$.arms.right.posture"),
+        ({"velocity": {LIFT: 0.1}}, {"velocity": {LIFT: 0.0}}, {}, "$.arms.right.velocity"),
+        (
+            {},
+            {},
+            {"control": {"kind": "joint_pd", "stiffness": {"left": 9.0}, "damping": 1.0}},
+            "$.control.stiffness.left",
+        ),
+        (
+            {},
+            {},
+            {"effects": {"external_wrenches": [{"on": "right/arm_right_4_link", "force": DOWN}]}},
+            "$.effects.external_wrenches[0].on",
+        ),
+    ],
+    ids=["positions", "sought", "velocities", "gains of one arm", "a wrench on its link"],
+)
+def test_what_arms_of_one_robot_cannot_say_alone_is_refused(left, right, more, place):
+    with refused(SceneError, place) as caught:
+        scene_of({"left": loose("left", **left), "right": loose("right", **right)}, JOINTS, **more)
+    assert len(caught.value.faults) == 1
+
+
+def test_arms_with_tools_are_no_robot():
+    tool = {"robot": "corner_gripper", "mount": "arm_left_tool_link"}
+    with refused(SceneError, "$.arms.right"):
+        pair(loose("left", tip="corner", tool=tool), loose("right"))
+
+
+def test_a_fault_of_an_arm_on_a_trunk_is_told_alone():
+    with refused(SceneError, "$.arms.left.posture.elbow") as caught:
+        pair(loose("left", posture={"elbow": 0.1}), loose("right"))
+    assert len(caught.value.faults) == 1
+
+
+def test_pose_prints_the_postures_of_arms_that_are_one_robot(tmp_path):
+    parts = yaml.safe_load(EXAMPLE.read_text())
+    for arm in parts["arms"].values():
+        arm["lock"] = {joint: q for joint, q in arm["lock"].items() if joint != LIFT}
+    path = tmp_path / "scene.yaml"
+    path.write_text(yaml.safe_dump({**parts, "control": "none", "run": {"duration": 1.0}}))
+    result = multiarm("pose", path)
+    assert result.exit_code == 0, result.output
+    lines = [yaml.safe_load(line) for line in result.stdout.splitlines() if "posture:" in line]
+    found = {name: posture for line in lines for name, posture in line.items()}
+    arms = {name: {**arm, **found[name]} for name, arm in parts["arms"].items()}
+    path.write_text(yaml.safe_dump({**parts, "arms": arms, "control": "none", "run": {}}))
+    report = ma.compile_system(load_scene(path)).start_report
+    assert list(found) == ["left", "right"] and max(report.gaps.values()) < 1e-6
