@@ -249,7 +249,7 @@ def _first_joint(arm: Robot, connection: Connection) -> int:
 
 
 def _make_joint(joint: Any, scene: Scene, robots: Robots) -> Joint:
-    """Contacts, frame and limits of a joint; without ``at`` it is where FIRST is at the start."""
+    """Contacts, frame and limits of a joint; without ``at`` it starts where the first body is."""
     try:
         if joint.at is not None:
             pose = joint.at.matrix()

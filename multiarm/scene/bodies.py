@@ -1,7 +1,8 @@
 """The bodies of a scene by name: objects, the world, and links of robots.
 
 A joint is written as ``arm: NAME``, between the tip of an arm or robot and an object, or as
-``between: [FIRST, SECOND]``.  Forces of the joint act on SECOND, FIRST takes the opposite.
+``between: [first, second]``.  Forces of the joint act on the second body, the first takes the
+opposite.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whether the joints of a scene connect bodies that exist, and that can be connected.
 
-A connection is the set of contact rows between two bodies, FIRST and SECOND: a joint of the scene.
+A connection is the set of contact rows between two bodies, the first and the second: a joint.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class WrittenJoint:
 
     @property
     def bodies(self) -> tuple[BodyName, BodyName] | None:
-        """FIRST and SECOND; None where it does not say so."""
+        """The first and the second; None where it does not say so."""
         if self.between is None:
             if not isinstance(self.arm, str):
                 return None
@@ -274,7 +274,7 @@ def _pair_fault(first: BodyName, second: BodyName, robots: Robots) -> str:
             return f"no joint that moves carries {str(body)!r}; write 'world' in its place"
     if first == WORLD or (first.is_object and second.is_link):
         return (
-            f"{str(first)!r} can only be SECOND here; write between: [{second}, {first}], with "
+            f"{str(first)!r} can only be the second body; write between: [{second}, {first}], with "
             "'at' and 'at_first' exchanged"
         )
     if not (first.is_link and second.is_link):

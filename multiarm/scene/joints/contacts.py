@@ -115,7 +115,7 @@ class ContactsJoint(Joint):
     contacts: tuple[ContactSpec, ...]
     """A list of {arm: ..., object: ...}, at least one. The arm's geometry is given in the tip's
     frame (at_tip), the object's in the object's frame (at), patches too. With 'between', 'arm'
-    stands for FIRST and 'object' for SECOND."""
+    stands for the first body and 'object' for the second."""
 
     @model_validator(mode="after")
     def _not_empty(self) -> Self:

@@ -70,36 +70,37 @@ TipRadius = Annotated[
 ]
 
 
-TwoBodies = Annotated[tuple[str, str], list_of("must be a list of two bodies, FIRST, SECOND", 2)]
+TwoBodies = Annotated[tuple[str, str], list_of("must be a list of two bodies", 2)]
 
 
 class Joint(UserKind):
     """Base class of joints; define ``kind``, fields and :meth:`Joint.records`.
 
-    It connects two bodies: FIRST, whose points usually touch, and SECOND, whose surfaces are
-    touched.  Contact forces act on SECOND.  The joint frame is written in the frame of SECOND
-    (``at``) and in that of FIRST (``at_first``); both coincide at the start.
+    It connects two bodies: points of the first usually touch surfaces of the second.  Contact
+    forces are those on the second body.  The joint frame is written in the frame of the second
+    body (``at``) and in that of the first (``at_first``); both coincide at the start.
 
     Attributes
     ----------
     arm : str
-        The arm, or the tip of a robot as 'robot/tip', that this joint connects with an object:
-        FIRST is the link of the tip, SECOND the object. Empty where 'between' names the bodies.
+        The arm, or the tip of a robot as 'robot/tip', that this joint connects with an object.
+        The link of the tip is the first body, the object the second. Empty with 'between'.
     object : str, optional
         With 'arm', the object that the tip holds. May be left out where the scene has one.
     between : list of 2 str, optional
-        Instead of 'arm': the bodies [FIRST, SECOND]. 'object', or an object by its name, 'world',
-        an arm by its name, 'robot/tip' or 'robot/link'. FIRST is a link or an object, SECOND an
+        Instead of 'arm': a list of two bodies. 'object', or an object by its name, 'world', an arm
+        by its name, 'robot/tip' or 'robot/link'. The first is a link or an object, the second an
         object, the world or another link of the same robot.
     name : str, optional
-        A name for reports; with 'between' also in results. Absent: that of 'arm', or FIRST-SECOND.
+        A name for reports; with 'between' also in results. Absent: that of 'arm', or of both
+        bodies, 'first-second'.
     at : Pose, optional
-        Joint frame in the frame of SECOND, of the object where 'arm' is written. Absent: where the
-        joint frame on FIRST is at the start; kind 'contacts': the frame of SECOND.
+        Joint frame in the frame of the second body, of the object where 'arm' is written. Absent:
+        where the joint frame on the first is at the start; kind 'contacts': the second's frame.
     at_first : Pose, optional
-        Joint frame in the frame of FIRST. Absent: its frame.
+        Joint frame in the frame of the first body. Absent: that frame.
     at_tip : Pose
-        The same as 'at_first', where FIRST is a tip.
+        The same as 'at_first', where the first body is a tip.
     mu : float, optional
         Coulomb's coefficient of friction of its contacts, where they have none of their own and do
         not roll.  It counts before that of ``effects.contact_friction``.  Friction follows from the
@@ -150,7 +151,7 @@ class Joint(UserKind):
         if bool(self.arm) == (self.between is not None):
             raise invalid(
                 "needs either 'arm' (the tip that it connects with the object) or 'between' (two "
-                f"bodies, FIRST and SECOND), got {'both' if self.arm else 'neither'}"
+                f"bodies), got {'both' if self.arm else 'neither'}"
             )
         if self.object is not None and self.between is not None:
             raise invalid("'object' belongs to 'arm'; 'between' names both bodies")
@@ -174,12 +175,12 @@ class Joint(UserKind):
 
     @property
     def connection(self) -> str:
-        """Its name in results: 'arm', or 'name', or FIRST-SECOND."""
+        """Its name in results: 'arm', or 'name', or those of both bodies, 'first-second'."""
         return connection_name(self.arm, self.between, self.name)
 
     @property
     def on_first(self) -> Pose:
-        """The joint frame in the frame of FIRST."""
+        """The joint frame in the frame of the first body."""
         return self.at_tip if self.at_first is None else self.at_first
 
     def records(self) -> list[Contact]:

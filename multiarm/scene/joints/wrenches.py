@@ -56,8 +56,8 @@ class WrenchesJoint(Joint):
     """A list of [fx, fy, fz, mx, my, mz]. Force [N] and moment [N m] about the origin of the joint
     frame, in that frame, on the object, for one unit of the multiplier."""
     carried_by: Literal["object", "arm"] = "object"
-    """The body to which the directions are fixed; with 'between', 'arm' stands for FIRST and
-    'object' for SECOND."""
+    """The body to which the directions are fixed; with 'between', 'arm' stands for the
+    first body and 'object' for the second."""
     size: Positive = 0.1
     """Distance [m] of the two contacts that make a couple."""
 
