@@ -92,7 +92,7 @@ class Joint(UserKind):
         by its name, 'robot/tip' or 'robot/link'. The first is a link or an object, the second an
         object, the world or another link of the same robot.
     name : str, optional
-        A name for reports; with 'between' also in results. Absent: that of 'arm', or 'first-second'.
+        A name for reports; with 'between' also in results. Absent: 'arm', or 'first-second'.
     at : Pose, optional
         Joint frame in the frame of the second body, of the object where 'arm' is written. Absent:
         where the joint frame on the first is at the start; kind 'contacts': the second's frame.
