@@ -38,7 +38,6 @@ from multiarm.scene import (
     Scene,
     Waypoint,
     with_code,
-    with_trunk_robots,
     without_code,
 )
 from multiarm.scene.faults import shown
@@ -96,7 +95,7 @@ def compile_system(
             f"a scene is needed, got {shown(scene)}; read its file with ma.load_scene(path), or "
             "make a table a scene: ma.Scene(**table)"
         )
-    scene = with_trunk_robots(with_code(_with_arms(scene, arms), code))
+    scene = with_code(_with_arms(scene, arms), code).with_trunk_robots()
     scene = with_bases(scene) if assemble else scene  # where arms stand, if that is to be found
     # a run needs them: the first time they are compiled in the background
     compile_ahead(advance, explicit_step, write_slope)
@@ -151,7 +150,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
         Arguments of :meth:`multiarm.System.state`, in place of the start as written, for which
         missing postures are sought.
     """
-    scene = with_bases(with_trunk_robots(scene))
+    scene = with_bases(scene.with_trunk_robots())
     robots = load_robots(scene, seek=start is None)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)

@@ -56,6 +56,5 @@ from multiarm.scene.schema import Scene, changed_scenes
 from multiarm.scene.settings import ARM_TERMS
 from multiarm.scene.shapes import Shape
 from multiarm.scene.surfaces import SURFACES, Geometry, Surface, register_surface
-from multiarm.scene.trunk_robots import with_trunk_robots
 from multiarm.scene.urdf import JointOutline, RobotOutline, read_urdf
 from multiarm.scene.values import Pose

@@ -39,6 +39,7 @@ from multiarm.scene.registry import Classes
 from multiarm.scene.robot_spec import RobotSpec
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
+from multiarm.scene.trunk_robots import parts_with_trunk_robots
 from multiarm.scene.trunks import ArmGroup
 from multiarm.scene.values import ArmName, ObjectName, RobotName, Vec3
 
@@ -235,6 +236,18 @@ class Scene(Spec):
     def group_of(self, arm: str) -> ArmGroup:
         """The group that an arm belongs to."""
         return next(group for group in self._arm_groups if arm in group.arms)
+
+    def with_trunk_robots(self) -> Self:
+        """The scene as it is simulated: arms on a trunk that moves are robots.
+
+        Its warnings are those of the scene as it is written.
+        """
+        parts = parts_with_trunk_robots(self._arm_groups, self.arms, self.robots, self.joints)
+        if not parts:
+            return self
+        scene = self.model_copy(update=parts)
+        scene._warnings = self._warnings
+        return scene
 
     def links_in_joints(self, robot: str) -> tuple[str, ...]:
         """The links of a robot that joints name besides its tips."""

@@ -6,26 +6,32 @@ written with ``arm: left`` are those of ``left``.  Joints are those of the robot
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
+from multiarm.scene.arms import ArmSpec
 from multiarm.scene.bodies import BodyName
+from multiarm.scene.joints import JointSpec
+from multiarm.scene.robot_spec import RobotSpec
+from multiarm.scene.trunks import ArmGroup
 
-if TYPE_CHECKING:
-    from multiarm.scene.joints import JointSpec
-    from multiarm.scene.schema import Scene
 
-
-def with_trunk_robots(scene: Scene) -> Scene:
-    """The scene in which arms on a trunk that moves are robots; itself where there are none."""
-    groups = [group for group in scene.arm_groups if group.robot is not None]
-    if not groups:
-        return scene
-    robot_of = {arm: group.name for group in groups for arm in group.arms}
-    arms = {name: arm for name, arm in scene.arms.items() if name not in robot_of}
-    robots = {group.name: group.robot for group in groups}
-    joints = tuple(_of_robots(joint, robot_of) for joint in scene.joints)
-    parts = {"arms": arms, "robots": {**robots, **scene.robots}, "joints": joints}
-    return scene.model_copy(update=parts)
+def parts_with_trunk_robots(
+    groups: Sequence[ArmGroup],
+    arms: Mapping[str, ArmSpec],
+    robots: Mapping[str, RobotSpec],
+    joints: Sequence[JointSpec],
+) -> dict[str, Any]:
+    """The parts of a scene that differ where arms are robots; empty where none are."""
+    of_groups = {group.name: group.robot for group in groups if group.robot is not None}
+    if not of_groups:
+        return {}
+    robot_of = {arm: group.name for group in groups if group.robot for arm in group.arms}
+    return {
+        "arms": {name: arm for name, arm in arms.items() if name not in robot_of},
+        "robots": {**of_groups, **robots},
+        "joints": tuple(_of_robots(joint, robot_of) for joint in joints),
+    }
 
 
 def _of_robots(joint: JointSpec, robot_of: dict[str, str]) -> JointSpec:
@@ -38,4 +44,5 @@ def _of_robots(joint: JointSpec, robot_of: dict[str, str]) -> JointSpec:
         for body in bodies
     ]
     between = tuple(map(str, names))
-    return joint.model_copy(update={"arm": "", "between": between, "name": joint.connection})
+    written = {"arm": "", "object": None, "between": between, "name": joint.connection}
+    return joint.model_copy(update=written)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import SceneError
 from multiarm.robots import robot as robot_module
-from multiarm.scene import find_robot, load_scene, read_urdf
+from multiarm.scene import find_robot, load_scene, parse_scene, read_urdf
 from multiarm.viewer.animate import animate, lowest
 from multiarm.viewer.robot_bodies import WHITE
 
@@ -273,7 +273,8 @@ def test_arms_whose_trunk_moves_are_one_robot_with_their_names_as_tips():
         forces = ours.contact_forces[side], theirs.contact_forces[f"{GROUP}/{side}"]
         assert np.array_equal(*forces) and forces[0].any()
     assert list(systems[0].kinematics().tips) == [f"{GROUP}/left", f"{GROUP}/right"]
-    assert any(f"robot {GROUP!r}" in text and LIFT in text for text in arms.warnings)
+    for warnings in (arms.warnings, systems[0].warnings):
+        assert any(f"robot {GROUP!r}" in text and LIFT in text for text in warnings)
     again = ma.compile_system(arms, like=ma.compile_system(arms))
     assert again.arms[GROUP].joint_names[0] == LIFT
 
@@ -286,6 +287,23 @@ def test_joints_keep_their_names_where_arms_are_one_robot():
     assert [str(pair.first) for pair in connections.values()] == [
         f"{GROUP}/{side}" for side in ("left", "right", "left")
     ]
+
+
+def test_arms_that_are_one_robot_hold_the_objects_that_they_name():
+    bodies = {
+        name: {"shape": {"box": [0.3, 0.4, 0.1]}, "mass": 1.0, "pose": {"xyz": [0.6, 0.0, z]}}
+        for name, z in (("tray", 0.8), ("lid", 0.9))
+    }
+    joints = [
+        {"arm": "left", "object": "tray", "kind": "weld"},
+        {"arm": "right", "object": "lid", "kind": "ball"},
+    ]
+    arms = {side: loose(side) for side in ("left", "right")}
+    system = ma.compile_system(parse_scene({"objects": bodies, "arms": arms, "joints": joints}))
+    connections = system.model.connections
+    assert {name: str(pair.second) for name, pair in connections.items()} == {
+        "left": "tray", "right": "lid"
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
