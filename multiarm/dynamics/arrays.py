@@ -78,7 +78,8 @@ class FloatingBases(NamedTuple):
 
     robot: Ints1  # (B,)
     block: Ints1  # (B,)
-    slot: Ints1  # (B,) of its pose in Pinocchio's configuration: position, quaternion xyzw
+    # (B,) of its pose in Pinocchio's configuration: position, quaternion xyzw; -1: compiled
+    slot: Ints1
 
 
 class TipFrame(NamedTuple):

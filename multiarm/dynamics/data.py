@@ -116,6 +116,7 @@ class SharedData:
         functions = self._backends.connect(
             v.state.joint_positions,
             v.state.joint_rates,
+            v.state.base_poses,
             v.bodies.pinocchio_configuration,
             v.bodies.pinocchio_velocity,
             v.bodies.links,

@@ -56,9 +56,11 @@ def fill_configuration(model, data):
         else:
             data.bodies.pinocchio_configuration[slot] = data.state.joint_positions[j]
     for b in range(data.state.floating_bases.size):
+        slot = model.floating_bases.slot[b]
+        if slot < 0:
+            continue
         for k in range(7):
-            slot = model.floating_bases.slot[b] + k
-            data.bodies.pinocchio_configuration[slot] = data.state.base_poses[b, k]
+            data.bodies.pinocchio_configuration[slot + k] = data.state.base_poses[b, k]
     if data.state.floating_bases.size > 0:
         fill_velocity(data)
 
@@ -117,7 +119,8 @@ def block_terms(model, data, work):
         fill_configuration(model, data)
         call_python(functions.pinocchio)
         for b in range(data.state.floating_bases.size):
-            turn_base_terms(b, model, data, work)
+            if model.floating_bases.slot[b] >= 0:
+                turn_base_terms(b, model, data, work)
     for l in range(data.bodies.link_pointers.shape[0]):
         addresses = open_link_addresses(data.bodies.link_pointers[l])
         if addresses.twist != 0:

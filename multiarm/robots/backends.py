@@ -24,7 +24,7 @@ import pinocchio as pin
 from multiarm.errors import ModelError
 from multiarm.jit.pointers import PythonCallback
 from multiarm.jit.rows import fields_of, width
-from multiarm.robots.compiled.backend import CompiledBackend, compile_robots
+from multiarm.robots.compiled.backend import CompiledBackend, compile_robots, floating_bases
 from multiarm.robots.robot import Robot, named_with_prefix
 from multiarm.robots.terms import (
     ADDRESSES,
@@ -70,7 +70,7 @@ class Backends:
         Index of each joint in Pinocchio's configuration; -1 for those of compiled robots and of
         floating bases.
     base_slots : int64 ndarray, shape (bases,)
-        Index there of the pose of every floating base.
+        Index there of the pose of every floating base; -1 for those of compiled robots.
     configuration : int
         Size of that configuration.
     """
@@ -103,7 +103,8 @@ class Backends:
                 self._compiled.want_gravity_torque()
         first_joints = np.cumsum([0, *(robot.dof for robot in in_order)])
         self.q_slots = np.full(first_joints[-1], -1, dtype=np.int64)
-        base_slots: list[int] = []
+        bases = floating_bases(robots)
+        self.base_slots = np.full(sum(robot.floats for robot in in_order), -1, dtype=np.int64)
         self.configuration = 0
         of_pinocchio = [k for k, name in enumerate(names) if self.by_robot[name] == "pinocchio"]
         for places in _neighbours(of_pinocchio):
@@ -113,9 +114,10 @@ class Backends:
             self._groups.append(group)
             slots = group.q_slots
             self.q_slots[group.joints] = np.where(slots < 0, -1, slots + self.configuration)
-            base_slots += [slot + self.configuration for slot in group.base_slots]
+            of_bases = [bases[place] for place in places if in_order[place].floats]
+            self.base_slots[of_bases] = np.array(group.base_slots, dtype=np.int64)
+            self.base_slots[of_bases] += self.configuration
             self.configuration += group.model.nq
-        self.base_slots = np.array(base_slots, dtype=np.int64)
         self._fill_tables()
 
     def copy(self) -> Backends:
@@ -131,6 +133,7 @@ class Backends:
         self,
         angles: np.ndarray,
         rates: np.ndarray,
+        base_poses: np.ndarray,
         q: np.ndarray,
         v: np.ndarray,
         bodies: np.ndarray,
@@ -140,12 +143,12 @@ class Backends:
 
         Parameters
         ----------
-        angles, rates, q, v, bodies : ndarray
+        angles, rates, base_poses, q, v, bodies : ndarray
             See :class:`multiarm.robots.terms.RobotState`.
         status : Numbers
             ``failed`` is set when Pinocchio raises, ``potential_energy`` where that is wanted.
         """
-        self._state = RobotState(angles, rates, q, v, bodies)
+        self._state = RobotState(angles, rates, base_poses, q, v, bodies)
         addresses = {} if self._compiled is None else self._compiled.connect(self._state)
         callbacks: dict[str, PythonCallback] = {}
         if self._groups:

@@ -272,7 +272,7 @@ class Robot:
         twist = np.zeros(6) if base is None else base.twist
         return turn.T @ np.concatenate([twist, rates])
 
-    def _turn(self, q: np.ndarray) -> np.ndarray:
+    def turn(self, q: np.ndarray) -> np.ndarray:
         """World axes in place of the base's for its angular velocity, shape (dof, dof)."""
         turn = np.eye(self.dof)
         if self.floats:
@@ -288,7 +288,7 @@ class Robot:
     ) -> RobotTerms:
         """Terms of the equations of motion at joint positions [rad or m] and velocities, (n,)."""
         q = self.configuration(angles, base)
-        turn = self._turn(q)
+        turn = self.turn(q)
         v = self._velocity(velocity, base, turn)
         model, data = self.model, self.model.createData()
         inertia = pin.crba(model, data, q, pin.Convention.WORLD)
@@ -318,7 +318,7 @@ class Robot:
     ) -> TipKinematics:
         """Motion of a tip at joint positions [rad or m] and velocities, (n,)."""
         q, data = self.configuration(angles, base), self.model.createData()
-        v = self._velocity(velocity, base, self._turn(q))
+        v = self._velocity(velocity, base, self.turn(q))
         pin.forwardKinematics(self.model, data, q, v)
         return self._motion_of(tip, data, q)
 
@@ -334,7 +334,7 @@ class Robot:
             position=pose.translation.copy(),
             rotation=pose.rotation.copy(),
             twist=twist.copy(),
-            jacobian=jacobian @ self._turn(q).T if self.floats else jacobian,
+            jacobian=jacobian @ self.turn(q).T if self.floats else jacobian,
             joint_names=self.joint_names,
         )
 

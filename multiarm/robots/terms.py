@@ -130,7 +130,10 @@ class RobotState(NamedTuple):
     """Inputs of a backend, and the array for the motion of the links that carry tips.
 
     angles, rates : (joints,)
-        Positions and velocities of the joints of all robots.
+        Positions and velocities of the joints of all robots; the first six of a robot whose base
+        floats are zero, and the twist of its base.
+    base_poses : (B, 7)
+        Of the floating bases: position, quaternion xyzw.
     q, v : (numbers,), (joints,)
         The same as configuration and velocity of Pinocchio.
     bodies : (links, 24)
@@ -140,6 +143,7 @@ class RobotState(NamedTuple):
 
     angles: np.ndarray
     rates: np.ndarray
+    base_poses: np.ndarray
     q: np.ndarray
     v: np.ndarray
     bodies: np.ndarray
@@ -266,7 +270,7 @@ class LinkTerms(NamedTuple):
     bias, gravity_torque : (n,)
         Coriolis, centrifugal and gravity forces; the gravity forces alone.
     poses : (n, 12)
-        Of the links of all joints in the world, see :class:`LinkPose`.
+        Of the links of all joints of its structure in the world, see :class:`LinkPose`.
     bodies : (m, 24)
         Motion of the links that take part in connections, see
         :class:`multiarm.contacts.motion.BodyMotion`.
@@ -274,7 +278,7 @@ class LinkTerms(NamedTuple):
         Potential energy [J], zero at the world's origin.
     coriolis : (n, n)
         Matrix ``C`` for which the rate of the inertia is ``C + C^T``, and ``C q'`` the bias without
-        gravity.
+        gravity; zero where the base floats.
     """
 
     inertia: np.ndarray

@@ -43,6 +43,9 @@ def compiled(structures, gravity=GRAVITY):
     return system.backend, system.angles, system.rates, system.parts
 
 
+FIXED = np.zeros((1, 7))
+"""In place of the poses of a floating base."""
+
 # --- against Pinocchio ---------------------------------------------------------------------------
 
 
@@ -83,7 +86,9 @@ def test_terms_are_pinocchios(robot, tip, joints, rng):
     for _ in range(3):
         angles[:], rates[:] = rng.uniform(-3, 3, joints), rng.uniform(-3, 3, joints)
         copies.update(with_coriolis=True)
-        (expected,) = pinocchio_terms(arm, [joints], angles[None, own], rates[None, own], GRAVITY)
+        (expected,) = pinocchio_terms(
+            arm, [joints], angles[None, own], rates[None, own], FIXED, GRAVITY
+        )
         worst = largest_difference(copies.terms(0), expected)
         assert max(worst.values()) < 1e-13, worst
 
@@ -108,7 +113,7 @@ def test_terms_of_random_chains_side_by_side_are_pinocchios(tmp_path_factory, se
     copies.update(with_coriolis=True)
     for k, (arm, part) in enumerate(zip(arms, own, strict=True)):
         (expected,) = pinocchio_terms(
-            arm, [arm.dof], angles[None, part], rates[None, part], gravity
+            arm, [arm.dof], angles[None, part], rates[None, part], FIXED, gravity
         )
         worst = largest_difference(copies.terms(k), expected)
         assert max(worst.values()) < 1e-11, (arm, worst)

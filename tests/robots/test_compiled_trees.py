@@ -38,18 +38,28 @@ ROBOTS = {
 
 def robot(key: str, base=None, rotors: float = 0.0) -> Robot:
     name, locked = ROBOTS[key]
+    return real_robot(name, locked, base, rotors)
+
+
+def real_robot(name, locked=(), base=None, rotors=0.0, **more) -> Robot:
     urdf = find_robot(name).urdf
     model = pin.buildModelFromUrdf(str(urdf))
     beside = {joint: 0.0 for joint in list(model.names)[1:] if any(x in joint for x in locked)}
     last = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1]
-    arm = arm_of(urdf, last, base, beside, name=key)
-    arm.model.armature = np.full(arm.dof, rotors)
+    arm = arm_of(urdf, last, base, beside, name=name, **more)
+    arm.model.armature = np.repeat([0.0, rotors], [arm.base_dof, len(arm.joint_names)])
     return arm
 
 
-def tree_arm(folder, rng, parents, away=1.0, name="tree") -> Robot:
+def tree_arm(folder, rng, parents, away=1.0, name="tree", **more) -> Robot:
     (folder / f"{name}.urdf").write_text(random_tree(rng, parents))
-    return arm_of(folder / f"{name}.urdf", "tip", random_base(rng, away), name=name)
+    return arm_of(folder / f"{name}.urdf", "tip", random_base(rng, away), name=name, **more)
+
+
+def floating(rng) -> dict:
+    """A base that floats, with a mass of its own."""
+    moments = np.diag(rng.uniform(2.0, 3.0, 3)) + 0.1
+    return {"base_floats": True, "base_mass": rng.uniform(1.0, 9.0), "base_inertia": moments}
 
 
 def last_links(arm: Robot) -> list[int]:
@@ -60,9 +70,8 @@ def last_links(arm: Robot) -> list[int]:
 def worst_difference(arms, links, compiled: Compiled, gravity=GRAVITY) -> float:
     worst = 0.0
     for k, (arm, terms) in enumerate(zip(arms, compiled.terms(), strict=True)):
-        q, v = compiled.angles[compiled.parts[k]], compiled.rates[compiled.parts[k]]
         joints = [joint for place, joint in links if place == k]
-        (expected,) = pinocchio_terms(arm, joints, q[None], v[None], gravity)
+        (expected,) = pinocchio_terms(arm, joints, *compiled.state_of(k), gravity)
         worst = max(worst, *largest_difference(terms, expected).values())
     return worst
 
@@ -91,13 +100,55 @@ def test_terms_of_random_trees_side_by_side_are_pinocchios(tmp_path_factory, see
     for k in range(rng.integers(1, 10)):
         joints = int(rng.integers(1, 17))
         parents = random_parents(rng, joints, rng.choice([0.0, 0.2, 0.4, 0.8]))
-        arms.append(tree_arm(folder, rng, parents, away, f"tree{k}"))
-        links += [(k, int(joint)) for joint in rng.integers(0, joints + 1, rng.integers(0, 4))]
+        base = floating(rng) if rng.random() < 0.4 else {}
+        arms.append(tree_arm(folder, rng, parents, away, f"tree{k}", **base))
+        ends = rng.integers(2 if base else 0, arms[k].model.njoints, rng.integers(0, 4))
+        links += [(k, int(joint)) for joint in ends]
     gravity = rng.uniform(-10, 10, 3)
     compiled = Compiled([arm.structure() for arm in arms], links, gravity)
     for _ in range(2):
         compiled.draw(rng)
         assert worst_difference(arms, links, compiled, gravity) < 1e-11
+
+
+@pytest.mark.parametrize("key", ["g1_29dof_rev_1_0", "talos", "anymal-kinova", "ur5"])
+def test_terms_of_robots_on_floating_bases_are_pinocchios(key, rng):
+    """Their last links, one in the middle, and the base take part in connections."""
+    arm = real_robot(key, rotors=0.3, **floating(rng))
+    links = [(0, joint) for joint in (*last_links(arm), 4, 2)]
+    compiled = Compiled([arm.structure()], links)
+    for _ in range(3):
+        compiled.draw(rng)
+        assert worst_difference([arm], links, compiled) < 1e-12
+
+
+def test_robots_that_float_and_others_are_computed_side_by_side(tmp_path, rng):
+    """Five robots that float, of several shapes, among arms and trees on fixed bases."""
+    shapes = [(-1,), (-1, 0, 1), (-1, -1, 1, 1), (-1, 0, 0), (-1, 0, 1, 0, 3, 3, 0)] * 2
+    arms = [
+        tree_arm(tmp_path, rng, shape, name=f"tree{k}", **(floating(rng) if k % 2 else {}))
+        for k, shape in enumerate(shapes)
+    ]
+    links = [(k, arm.model.njoints - 1) for k, arm in enumerate(arms)] + [(3, 2), (2, 0), (3, 2)]
+    compiled = Compiled([arm.structure() for arm in arms], links)
+    for _ in range(3):
+        compiled.draw(rng)
+        assert worst_difference(arms, links, compiled) < 1e-12
+
+
+def test_a_floating_robot_far_away_loses_no_digits(rng, tmp_path):
+    """Moments are about its base: what does not depend on the place is the same."""
+    tree = tree_arm(tmp_path, rng, (-1, 0, -1, 2, 2), **floating(rng)).structure()
+    compiled = Compiled([tree, tree], [(0, 2), (1, 2)])
+    compiled.draw(rng)
+    for numbers in (compiled.angles, compiled.rates):
+        numbers[compiled.parts[1]] = numbers[compiled.parts[0]]
+    compiled.base_poses[1] = compiled.base_poses[0]
+    compiled.base_poses[1, :3] = [2000.0, -1500.0, 300.0]
+    here, there = compiled.terms()
+    for name in ("inertia", "bias", "gravity_torque"):
+        np.testing.assert_array_equal(getattr(there, name), getattr(here, name), name)
+    np.testing.assert_array_equal(there.bodies[0, 12:], here.bodies[0, 12:])
 
 
 def test_inertia_is_zero_between_branches(tmp_path, rng):

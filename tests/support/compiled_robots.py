@@ -18,11 +18,10 @@ from multiarm.robots.terms import LinkTerms
 GRAVITY = np.array([1.0, -2.0, -9.0])
 
 
-def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm") -> Robot:
+def arm_of(urdf, tip, base=None, locked=None, rotors=None, name="arm", **more) -> Robot:
     base = np.eye(4) if base is None else base
-    return Robot(
-        name, RobotFiles(Path(urdf), (), base, {"": tip}, locked or {}), rotor_inertia=rotors
-    )
+    files = RobotFiles(Path(urdf), (), base, {"": tip}, locked or {}, **more)
+    return Robot(name, files, rotor_inertia=rotors)
 
 
 def random_base(rng, away=1.0) -> np.ndarray:
@@ -36,21 +35,33 @@ class Compiled:
     """Compiled robots in one system, and their state."""
 
     def __init__(self, structures, links, gravity=GRAVITY) -> None:
-        places = list(range(len(structures)))
-        first = np.cumsum([0] + [tree.masses.size for tree in structures])
-        rows = compiled_backend._body_links(places, links)
-        self.tables = make_tables(structures, first[:-1].tolist(), rows, gravity)._replace(
-            wanted=Wanted(gravity_torque=True, poses=True)
-        )
+        self.structures, places = structures, list(range(len(structures)))
+        first = np.cumsum([0] + [tree.dof for tree in structures])
+        rows = compiled_backend.body_links(structures, places, links)
+        floats = [tree.base_floats for tree in structures]
+        self.bases = np.cumsum([0, *floats])[:-1].tolist()
+        tables = make_tables(structures, first[:-1].tolist(), rows, gravity, self.bases)
+        self.tables = tables._replace(wanted=Wanted(gravity_torque=True, poses=True))
         self.backend = CompiledBackend(self.tables, places, {}, links)
         self.angles, self.rates = np.zeros(first[-1]), np.zeros(first[-1])
         self.bodies = np.full((len(links), 24), np.nan)
-        self.backend.bind(self.angles, self.rates, self.bodies)
+        self.base_poses = np.zeros((sum(floats), 7))
+        self.backend.bind(self.angles, self.rates, self.base_poses, self.bodies)
         self.parts = [slice(a, b) for a, b in pairwise(first)]
 
     def draw(self, rng) -> None:
         self.angles[:] = rng.uniform(-3, 3, self.angles.size)
         self.rates[:] = rng.uniform(-3, 3, self.rates.size)
+        for tree, part in zip(self.structures, self.parts, strict=True):
+            if tree.base_floats:
+                self.angles[part][:6] = 0.0
+        self.base_poses[:] = rng.normal(size=self.base_poses.shape)
+        self.base_poses[:, 3:] /= np.linalg.norm(self.base_poses[:, 3:], axis=1, keepdims=True)
+
+    def state_of(self, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and pose of the base of robot number k, for a reference."""
+        pose = self.base_poses[self.bases[k]] if self.structures[k].base_floats else np.zeros(7)
+        return self.angles[self.parts[k]][None], self.rates[self.parts[k]][None], pose[None]
 
     def terms(self) -> list[LinkTerms]:
         self.backend.update(with_coriolis=True)

@@ -32,6 +32,8 @@ from multiarm.robots.compiled.tables import (
 )
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import (
+    BASE_DOF,
+    BASE_POSE,
     POSE_WIDTH,
     Coriolis,
     LinkPose,
@@ -100,8 +102,11 @@ def compile_robots(
     first = np.cumsum([0, *(robot.dof for robot in robots.values())])
     places = tuple(structures)
     first_joints = [int(first[place]) for place in places]
-    bodies = _body_links(places, links)
-    tables = make_tables(list(structures.values()), first_joints, bodies, gravity)
+    bodies = body_links(list(structures.values()), places, links)
+    bases = floating_bases(robots)
+    tables = make_tables(
+        list(structures.values()), first_joints, bodies, gravity, [bases[k] for k in places]
+    )
     verify(tables, places, robots, links)
     return CompiledBackend(tables, places, robots, links), reasons
 
@@ -142,12 +147,16 @@ class CompiledBackend:
         tables = self.tables._replace(wanted=self.tables.wanted.copy())  # flags of one system
         return CompiledBackend(tables, self.places, self._robots, self._links)
 
-    def bind(self, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray) -> None:
+    def bind(
+        self, angles: np.ndarray, rates: np.ndarray, base_poses: np.ndarray, bodies: np.ndarray
+    ) -> None:
         """Let the sweeps read positions and velocities of all joints, and write all bodies.
 
-        Links of a base are at rest: their rows are written here.
+        Links of a fixed base are at rest: their rows are written here.
         """
-        self._work = make_work(self.tables, angles, rates, bodies, self._terms, self._coriolis)
+        self._work = make_work(
+            self.tables, angles, rates, base_poses, bodies, self._terms, self._coriolis
+        )
         self._struct = struct_of(self.tables, self._work)
         for row, (place, joint) in enumerate(self._links):
             if joint == 0 and place in self.places:
@@ -155,7 +164,7 @@ class CompiledBackend:
 
     def connect(self, state: RobotState) -> dict[str, int]:
         """Addresses of the function that updates all terms and of its struct, and its size."""
-        self.bind(state.angles, state.rates, state.bodies)
+        self.bind(state.angles, state.rates, state.base_poses, state.bodies)
         struct = self._struct
         return {
             "robots": address_of(update_robots),
@@ -188,8 +197,9 @@ class CompiledBackend:
         if joint == 0:
             return self._world.ctypes.data
         self.tables.wanted.poses = True
-        poses = self._offsets[self.places.index(place)].poses
-        return self._terms.ctypes.data + 8 * (poses + POSE_WIDTH * (joint - 1))
+        offsets = self._offsets[self.places.index(place)]
+        poses = offsets.poses + POSE_WIDTH * (joint - _first_link(offsets.joints > offsets.links))
+        return self._terms.ctypes.data + 8 * poses
 
     def update(self, with_coriolis: bool = False) -> None:
         """Compute all terms at the positions and velocities bound, from Python."""
@@ -207,7 +217,7 @@ class CompiledBackend:
             jacobian=jacobian.T.copy(),
             bias=terms[at.bias : at.bias + n].copy(),
             gravity_torque=terms[at.gravity_torque : at.gravity_torque + n].copy(),
-            poses=terms[at.poses : at.poses + POSE_WIDTH * n].reshape(n, POSE_WIDTH).copy(),
+            poses=terms[at.poses : at.poses + POSE_WIDTH * at.links].reshape(-1, POSE_WIDTH).copy(),
             bodies=self._work.bodies.reshape(-1, BODY_WIDTH)[rows].copy(),
             energy=np.sum(terms[at.energy : at.energy + at.energies], keepdims=True),
             coriolis=_square(self._coriolis, at.inertia, at.stride, n).T.copy(),
@@ -246,29 +256,33 @@ def verify(
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
     wanted = Wanted(gravity_torque=True, poses=True)
     copies = CompiledBackend(tables._replace(wanted=wanted), places, robots, links)
-    copies.bind(angles, rates, np.zeros((len(links), BODY_WIDTH)))
+    bases = floating_bases(robots)
+    poses = np.zeros((sum(robot.floats for robot in robots.values()), BASE_POSE))
+    copies.bind(angles, rates, poses, np.zeros((len(links), BODY_WIDTH)))
     every = [list(robots.values())[place] for place in places]
     structures = [robot.structure() for robot in every]
     states = [_random_states(structure) for structure in structures]
     computed: list[list[LinkTerms]] = [[] for _ in every]
     for number in range(STATES):
-        for place, (q, v) in zip(places, states, strict=True):
+        for place, (q, v, pose) in zip(places, states, strict=True):
             angles[first[place] : first[place + 1]] = q[number]
             rates[first[place] : first[place + 1]] = v[number]
+            if every[places.index(place)].floats:
+                poses[bases[place]] = pose[number]
         copies.update(with_coriolis=CORIOLIS[0] in quantities)
         for k, terms in enumerate(computed):
             terms.append(copies.terms(k))
-    for k, (robot, structure, (q, v)) in enumerate(zip(every, structures, states, strict=True)):
+    for k, (robot, structure, state) in enumerate(zip(every, structures, states, strict=True)):
         joints = [joint for place, joint in links if place == places[k]]
-        expected = _stacked(pinocchio_terms(robot, joints, q, v, tables.gravity))
+        expected = _stacked(pinocchio_terms(robot, joints, *state, tables.gravity))
         floors = {name: _floors(structure, expected, tables.gravity)[name] for name in quantities}
         _compare(robot, _stacked(computed[k]), expected, floors)
 
 
 def _structure(robot: Robot) -> TreeStructure:
     structure = robot.structure()
-    if structure.base_floats:
-        raise ModelError("its base floats")
+    if structure.base_floats and structure.parents.size == 1:
+        raise ModelError("its base floats and carries no joints")
     depth = most_in_a_row(structure.parents)
     if depth > MOST_JOINTS:
         raise ModelError(
@@ -277,13 +291,29 @@ def _structure(robot: Robot) -> TreeStructure:
     return structure
 
 
-def _body_links(places: Sequence[int], links: Sequence[tuple[int, int]]) -> list[BodyLink]:
-    """The links of the compiled robots that joints move, and their rows."""
-    return [
-        BodyLink(places.index(place), joint - 1, row)
-        for row, (place, joint) in enumerate(links)
-        if place in places and joint > 0
-    ]
+def floating_bases(robots: Mapping[str, Robot]) -> list[int]:
+    """Of each robot with a floating base its number among those bases."""
+    return np.cumsum([0, *(robot.floats for robot in robots.values())])[:-1].tolist()
+
+
+def body_links(
+    structures: Sequence[TreeStructure], places: Sequence[int], links: Sequence[tuple[int, int]]
+) -> list[BodyLink]:
+    """The links of the compiled robots that joints or floating bases move, and their rows."""
+    bodies = []
+    for row, (place, joint) in enumerate(links):
+        if place in places and joint > 0:
+            robot = places.index(place)
+            bodies.append(BodyLink(robot, joint - _first_link(structures[robot].base_floats), row))
+    return bodies
+
+
+def _first_link(floats: bool) -> int:
+    """Pinocchio's number of the joint that moves the first link of a structure.
+
+    A floating base is two joints of Pinocchio.
+    """
+    return 2 if floats else 1
 
 
 def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
@@ -291,11 +321,15 @@ def _square(numbers: np.ndarray, at: int, stride: int, size: int) -> np.ndarray:
     return np.lib.stride_tricks.as_strided(numbers[at:], (size, size), (8 * stride, 8))
 
 
-def _random_states(robot: TreeStructure) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities of a robot, each (8, n)."""
-    seed = zlib.crc32(b"".join(part.tobytes() for part in robot))
-    draw = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, STATES, robot.masses.size))
-    return LARGEST_POSITION * draw[0], LARGEST_VELOCITY * draw[1]
+def _random_states(robot: TreeStructure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions and velocities of a robot, each (8, n), and poses (8, 7) of a floating base."""
+    rng = np.random.default_rng(zlib.crc32(b"".join(part.tobytes() for part in robot)))
+    draw = rng.uniform(-1.0, 1.0, (2, STATES, robot.dof))
+    angles, poses = LARGEST_POSITION * draw[0], rng.normal(size=(STATES, BASE_POSE))
+    if robot.base_floats:
+        angles[:, :BASE_DOF] = 0.0
+        poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return angles, LARGEST_VELOCITY * draw[1], poses
 
 
 def _stacked(states: Sequence[LinkTerms]) -> LinkTerms:

@@ -6,6 +6,9 @@ of several, are computed at once, one in each lane of a SIMD pack.  These four a
 *group* is what is swept outwards as a whole before it is swept inwards: the branches of up to four
 robots, or one block of *plain arms*: chains whose last link is the only one that takes part in
 connections.
+
+A floating base is a branch by itself, and the robots of a group have floating bases all or none.
+The first block of a group with floating bases is that of these bases.
 """
 
 from __future__ import annotations
@@ -18,6 +21,9 @@ import numpy as np
 from multiarm.jit.simd import LANES
 from multiarm.robots.terms import TreeStructure
 
+FLOATING_BASE = 0
+"""The joint of a floating base."""
+
 
 class Branch(NamedTuple):
     """Joints of a robot, counted from 0, each the only one after that before it."""
@@ -25,7 +31,14 @@ class Branch(NamedTuple):
     robot: int
     joints: tuple[int, ...]
     ancestors: tuple[int, ...]  # the joints between base and branch
-    level: int  # number of branches between base and branch
+    level: int  # number of branches before it; a floating base is one
+
+    @property
+    def parent(self) -> int:
+        """The joint after which it begins; -1: none."""
+        if self.ancestors:
+            return self.ancestors[-1]
+        return FLOATING_BASE if self.level > 0 else -1
 
 
 class Group(NamedTuple):
@@ -33,21 +46,23 @@ class Group(NamedTuple):
 
     blocks: tuple[tuple[Branch, ...], ...]
     plain: bool  # whether its only block is one of plain arms
+    floats: bool = False  # whether its first block is one of floating bases
 
 
-def branches_of(robot: int, parents: np.ndarray) -> list[Branch]:
+def branches_of(robot: int, parents: np.ndarray, base_floats: bool = False) -> list[Branch]:
     """The branches of a robot, each after that from which it begins."""
     children = np.bincount(parents[parents >= 0], minlength=parents.size)
     branches: list[Branch] = []
     of_joint: list[int] = []  # the branch of each joint
     for joint, parent in enumerate(parents.tolist()):
-        if parent >= 0 and children[parent] == 1:
+        after_base = base_floats and parent == FLOATING_BASE
+        if parent >= 0 and children[parent] == 1 and not after_base:
             number = of_joint[parent]
             branch = branches[number]
             branches[number] = branch._replace(joints=(*branch.joints, joint))
         else:
             before = branches[of_joint[parent]] if parent >= 0 else Branch(robot, (), (), -1)
-            ancestors = (*before.ancestors, *before.joints)
+            ancestors = () if after_base else (*before.ancestors, *before.joints)
             number = len(branches)
             branches.append(Branch(robot, (joint,), ancestors, before.level + 1))
         of_joint.append(number)
@@ -69,10 +84,13 @@ def make_groups(
 
     ``carriers`` are each robot's joints, counted from 0, whose links take part in connections.
     """
-    branches = [branches_of(k, robot.parents) for k, robot in enumerate(structures)]
+    branches = [
+        branches_of(k, robot.parents, robot.base_floats) for k, robot in enumerate(structures)
+    ]
     joints = [robot.parents.size for robot in structures]
     is_plain = [
-        len(branches[k]) == 1 and list(carriers[k]) == [joints[k] - 1] for k in range(len(joints))
+        len(branches[k]) == 1 and list(carriers[k]) == [joints[k] - 1] and not robot.base_floats
+        for k, robot in enumerate(structures)
     ]
     plain = sorted(np.flatnonzero(is_plain).tolist(), key=lambda robot: -joints[robot])
     groups = [
@@ -83,13 +101,14 @@ def make_groups(
         np.flatnonzero(np.logical_not(is_plain)).tolist(),
         key=lambda robot: (-joints[robot], structures[robot].parents.tolist()),
     )
-    for four in _fours(trees):
-        together = [branch for robot in four for branch in branches[robot]]
-        together.sort(key=lambda branch: (branch.level, -len(branch.joints)))
-        levels = range(together[-1].level + 1)
-        by_level = [[branch for branch in together if branch.level == level] for level in levels]
-        blocks = [tuple(block) for level in by_level for block in _fours(level)]
-        groups.append(Group(tuple(blocks), plain=False))
+    for floats in (False, True):
+        for four in _fours([robot for robot in trees if structures[robot].base_floats == floats]):
+            together = [branch for robot in four for branch in branches[robot]]
+            together.sort(key=lambda branch: (branch.level, -len(branch.joints)))
+            levels = range(together[-1].level + 1)
+            by_level = [[branch for branch in together if branch.level == k] for k in levels]
+            blocks = [tuple(block) for level in by_level for block in _fours(level)]
+            groups.append(Group(tuple(blocks), plain=False, floats=floats))
     return groups
 
 

@@ -55,11 +55,13 @@ from multiarm.robots.compiled.tables import (
 
 @cfunc
 def update_coriolis(address, size, _a, _b):
-    """Write the matrices of Coriolis forces of compiled robots, column by column."""
+    """Write the matrices of Coriolis forces of compiled robots on fixed bases, column by column."""
     tables, work = open_robots(struct_at(address, size))
     load_joints(tables, work)
     groups = tables.groups
     for g in range(groups.plain.size):
+        if groups.floats[g]:
+            continue
         first, end = groups.first_block[g], groups.first_block[g + 1]
         for b in range(first, end):
             outwards(tables, work, b)

@@ -18,6 +18,12 @@ torques follow from mass and first moment of the composite bodies.
 
 A branch begins with what the outward sweep leaves at its parent, and adds to its parent what the
 inward sweep sums up.
+
+A floating base is a link that no joint moves: at rest, it would be that of a fixed base.  Its twist
+:math:`(v, \omega)` in world axes is its velocity, and moments are about its origin.  At an
+acceleration of zero the rate of the twist there is :math:`(v\times\omega, 0)`, less gravity.  Its
+six columns are the unit twists: so the force of the whole robot is the bias, the inertia of the
+composite body is the inertia, and :math:`I^c_j S_j` are the six columns of a joint's row.
 """
 
 from __future__ import annotations
@@ -45,6 +51,7 @@ from multiarm.jit.vectors import (
     dot,
     scale,
     sub,
+    vec,
 )
 from multiarm.robots.chain import (
     add_pair,
@@ -60,9 +67,16 @@ from multiarm.robots.chain import (
 )
 from multiarm.robots.compiled.tables import (
     BODY_LANES,
+    FIXED_BASE,
+    FLOATING_BASE,
+    FRAME_AXES,
     FRAME_LANES,
+    FRAME_ORIGIN,
+    FRAME_RATE,
+    FRAME_TWIST,
     JACOBIAN_LANES,
     JOINT_LANES,
+    LINK,
     LINK_LANES,
     LINK_SUMS,
     POSE_LANES,
@@ -74,6 +88,7 @@ from multiarm.robots.compiled.tables import (
     open_pose,
     open_robots,
 )
+from multiarm.spatial import rotation_of
 
 
 @cfunc
@@ -84,10 +99,15 @@ def update_robots(address, size, _a, _b):
     groups = tables.groups
     for g in range(groups.plain.size):
         first, end = groups.first_block[g], groups.first_block[g + 1]
+        if groups.floats[g]:
+            place_bases(tables, work, g)
         for b in range(first, end):
             outwards(tables, work, b)
         for b in range(end - 1, first - 1, -1):
-            inwards(tables, work, b)
+            if tables.blocks.start[b] == FLOATING_BASE:
+                write_base_terms(tables, work, b)
+            else:
+                inwards(tables, work, b)
         if groups.plain[g]:
             transpose_terms(tables, work, g)
         else:
@@ -113,11 +133,13 @@ def load_joints(tables, work):
 def outwards(tables, work, b):
     """Columns, inertias and forces of the links of one block; Jacobians, poses and motions."""
     blocks, constants, leaves = tables.blocks, tables.constants, work.leaves
-    gravity, origin = broadcast_vector(tables.gravity), vector_at(tables.bases[b], 0)
+    gravity, origin = broadcast_vector(tables.gravity), vector_at(work.origins[b], 0)
     axes, p, twist, rate_of_twist = base_frame(gravity)
     first, row = blocks.first_joint[b], blocks.first_link[b] + blocks.ancestors[b]
-    if blocks.ancestors[b] > 0:
-        start = gather_start(tables, work, b)
+    if blocks.start[b] == LINK:
+        gather_start(tables, work, b)
+    if blocks.start[b] != FIXED_BASE:
+        start = open_frame(work.start, 0)
         axes, p, twist, rate_of_twist = start.axes, start.origin, start.twist, start.rate
     jacobian, pose = LANES * blocks.jacobian[b], LANES * blocks.poses[b]
     motion = LANES * blocks.motions[b]
@@ -155,7 +177,7 @@ def outwards(tables, work, b):
 
 @inlined
 def base_frame(gravity):
-    """Axes, origin, twist and rate of the twist with which branches begin at the base."""
+    """Axes, origin, twist and rate of the twist with which branches begin at a fixed base."""
     one, none, zero = broadcast(1.0), broadcast(0.0), zero_vector()
     axes = (one, none, none), (none, one, none), (none, none, one)
     return axes, zero, (zero, zero), (sub(zero, gravity), zero)
@@ -163,13 +185,39 @@ def base_frame(gravity):
 
 @inlined
 def gather_start(tables, work, b):
-    """The frames with which the lanes of a block begin; copies the columns of its ancestors too."""
+    """Copy the frames with which the lanes of a block begin, and the columns of its ancestors."""
     blocks, size = tables.blocks, LINK_LANES // LANES
     copy_lanes(work.frames, FRAME_LANES // LANES, blocks.parents[b], work.start, 0)
     for k in range(blocks.ancestors[b]):
         places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
         copy_lanes(work.links, size, places, work.links, LINK_LANES * at)
-    return open_frame(work.start, 0)
+
+
+@kernel
+def place_bases(tables, work, g):
+    """Begin with the floating bases of a group: their frames, and where all its blocks are."""
+    blocks, groups, zero = tables.blocks, tables.groups, (0.0, 0.0, 0.0)
+    gravity = vec(tables.gravity, 0)
+    b = groups.first_block[g]
+    for lane in range(LANES):
+        base, rate = blocks.base[b, lane], blocks.base_rate[b, lane]
+        x, y, z = rotation_of(work.base_poses[base, 3:7])
+        v, omega = vec(work.rates, rate), vec(work.rates, rate + 3)
+        axes = lane + LANES * FRAME_AXES
+        put_lane(work.start, axes, x)
+        put_lane(work.start, axes + 3 * LANES, y)
+        put_lane(work.start, axes + 6 * LANES, z)
+        put_lane(work.start, lane + LANES * FRAME_ORIGIN, zero)
+        twist, twist_rate = lane + LANES * FRAME_TWIST, lane + LANES * FRAME_RATE
+        put_lane(work.start, twist, v)
+        put_lane(work.start, twist + 3 * LANES, omega)
+        put_lane(work.start, twist_rate, sub(cross(v, omega), gravity))
+        put_lane(work.start, twist_rate + 3 * LANES, zero)
+    for b in range(groups.first_block[g], groups.first_block[g + 1]):
+        for lane in range(LANES):
+            for k in range(3):
+                pose = work.base_poses[blocks.base[b, lane]]
+                work.origins[b, LANES * k + lane] = pose[k]
 
 
 @inlined
@@ -197,6 +245,7 @@ def inwards(tables, work, b):
     n, first, zero = blocks.joints[b], blocks.first_joint[b], zero_vector()
     before, row = blocks.ancestors[b], blocks.first_link[b]
     inertia, bias, gravity_torque = blocks.inertia[b], blocks.bias[b], blocks.gravity_torque[b]
+    base = blocks.base_columns[b]
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
@@ -207,7 +256,10 @@ def inwards(tables, work, b):
         store_pack(leaves, LANES * (bias + j), power(column, force))
         # momentum of the composite body for a unit rate of the joint
         momentum = times_inertia(mass, moment, second, column)
-        at = LANES * (inertia + (before + n) * j)
+        at = LANES * (inertia + (base + before + n) * j)
+        if base > 0:
+            store_pair(leaves, at, momentum)
+            at += LANES * base
         for k in range(before + j):
             ancestor = open_link(links, LINK_LANES * (row + k))
             store_pack(leaves, at + LANES * k, power(ancestor.column, momentum))
@@ -217,14 +269,49 @@ def inwards(tables, work, b):
             weight = scale(mass, gravity), cross(moment, gravity)
             held = broadcast(0.0) - power(column, weight)
             store_pack(leaves, LANES * (gravity_torque + j), held)
-    if before > 0:
+    if blocks.start[b] == LINK:
         sums = open_link(work.link_sum, 0)
         sums.mass, sums.moment, sums.second, sums.force = mass, moment, second, force
         add_to_parents(blocks, b, work.link_sum, links, LINK_SUMS, LINK_LANES // LANES)
     else:
-        moment = add_scaled(moment, mass, vector_at(tables.bases[b], 0))
-        energy = broadcast(0.0) - dot(moment, gravity)
-        store_pack(leaves, LANES * blocks.energy[b], energy)
+        write_energy(tables, work, b, mass, moment)
+
+
+@inlined
+def write_base_columns(k, axis, origin, mass, moment, second, blocks, b, leaves):
+    """Rows of the inertia and columns of the Jacobian along and about axis number ``k``."""
+    zero, width = zero_vector(), 6 * LANES
+    at, jacobian = LANES * blocks.inertia[b] + width * k, LANES * blocks.jacobian[b] + width * k
+    store_pair(leaves, at, (scale(mass, axis), zero))
+    store_pair(leaves, at + 3 * width, times_inertia(mass, moment, second, (zero, axis)))
+    store_pair(leaves, jacobian, (axis, zero))
+    store_pair(leaves, jacobian + 3 * width, (cross(origin, axis), axis))
+
+
+@inlined
+def write_energy(tables, work, b, mass, moment):
+    """Write the potential energy of a block, all of whose robots' masses have been summed."""
+    gravity = broadcast_vector(tables.gravity)
+    moment = add_scaled(moment, mass, vector_at(work.origins[b], 0))
+    store_pack(work.leaves, LANES * tables.blocks.energy[b], broadcast(0.0) - dot(moment, gravity))
+
+
+@kernel
+def write_base_terms(tables, work, b):
+    """What :func:`inwards` writes, and Jacobians, of a block of floating bases."""
+    blocks, leaves = tables.blocks, work.leaves
+    gravity, origin = broadcast_vector(tables.gravity), vector_at(work.origins[b], 0)
+    link = open_link(work.links, LINK_LANES * blocks.first_link[b])
+    mass, moment, second = link.mass, link.moment, link.second
+    store_pair(leaves, LANES * blocks.bias[b], link.force)
+    one, none, zero = broadcast(1.0), broadcast(0.0), zero_vector()
+    write_base_columns(0, (one, none, none), origin, mass, moment, second, blocks, b, leaves)
+    write_base_columns(1, (none, one, none), origin, mass, moment, second, blocks, b, leaves)
+    write_base_columns(2, (none, none, one), origin, mass, moment, second, blocks, b, leaves)
+    if tables.wanted.gravity_torque:
+        held = sub(zero, scale(mass, gravity)), cross(gravity, moment)
+        store_pair(leaves, LANES * blocks.gravity_torque[b], held)
+    write_energy(tables, work, b, mass, moment)
 
 
 @inlined
@@ -356,6 +443,27 @@ def zero_vector():
     """The vector zero."""
     zero = broadcast(0.0)
     return zero, zero, zero
+
+
+@inlined
+def store_pair(array, at, pair):
+    """Write a twist or a wrench into six consecutive lanes."""
+    store_vector(array, at, pair[0])
+    store_vector(array, at + 3 * LANES, pair[1])
+
+
+@inlined
+def store_vector(array, at, a):
+    """Write a vector into three consecutive lanes."""
+    store_pack(array, at, a[0])
+    store_pack(array, at + LANES, a[1])
+    store_pack(array, at + 2 * LANES, a[2])
+
+
+@inlined
+def put_lane(array, at, a):
+    """Write a vector of plain numbers into one lane of three."""
+    array[at], array[at + LANES], array[at + 2 * LANES] = a
 
 
 @inlined

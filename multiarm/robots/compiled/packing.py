@@ -17,7 +17,10 @@ from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.robots.chain import ChainJoint, chain_joints, joints_at_rest
 from multiarm.robots.compiled.branches import Branch, Group, make_groups
 from multiarm.robots.compiled.tables import (
+    FIXED_BASE,
+    FLOATING_BASE,
     JACOBIAN_WIDTH,
+    LINK,
     Blocks,
     Groups,
     Motions,
@@ -27,7 +30,7 @@ from multiarm.robots.compiled.tables import (
     TermOffsets,
     Wanted,
 )
-from multiarm.robots.terms import POSE_WIDTH, TreeStructure
+from multiarm.robots.terms import BASE_DOF, POSE_WIDTH, TreeStructure
 
 Pairs = list[tuple[int, int]]
 
@@ -38,7 +41,7 @@ class BodyLink(NamedTuple):
     robot : int
         Number among the compiled robots.
     joint : int
-        The joint that moves it, counted from 0.
+        The joint of its structure that moves it, counted from 0.
     row : int
     """
 
@@ -58,16 +61,18 @@ class PlacedBlock(NamedTuple):
     motions: int
     end: int  # of its leaves
     carries: tuple[int, ...]  # joints of the block whose links take part in connections
+    start: int  # at what its branches begin
+    base_columns: int  # of its part of the inertia
 
     @property
     def columns(self) -> int:
         """Columns of its part of the inertia."""
-        return self.ancestors + self.joints
+        return self.leaves.stride
 
     @property
     def rows(self) -> int:
         """Rows of scratch up to its end."""
-        return self.first_link + self.columns
+        return self.first_link + self.ancestors + self.joints
 
     def padding(self, branch: Branch) -> int:
         """Joints at rest before those of a branch."""
@@ -83,9 +88,9 @@ class PlacedBlock(NamedTuple):
 
     def columns_of(self, branch: Branch) -> dict[int, int]:
         """Column of each joint of a branch and each ancestor."""
-        first = self.ancestors - len(branch.ancestors)
+        first = self.base_columns + self.ancestors - len(branch.ancestors)
         before = {joint: first + k for k, joint in enumerate(branch.ancestors)}
-        first = self.ancestors + self.padding(branch)
+        first = self.base_columns + self.ancestors + self.padding(branch)
         return before | {joint: first + k for k, joint in enumerate(branch.joints)}
 
 
@@ -93,6 +98,7 @@ class PlacedGroup(NamedTuple):
     """The blocks of a group."""
 
     plain: bool
+    floats: bool
     blocks: tuple[PlacedBlock, ...]
 
     def places(self) -> dict[tuple[int, int], int]:
@@ -110,6 +116,7 @@ def make_tables(
     first_joints: Sequence[int],
     links: Sequence[BodyLink],
     gravity: np.ndarray,
+    bases: Sequence[int],
 ) -> RobotTables:
     """Tables of compiled robots.
 
@@ -120,6 +127,9 @@ def make_tables(
         The first joint of each robot in the stacked vectors.
     links : sequence of BodyLink
     gravity : ndarray, shape (3,)
+    bases : sequence of int
+        Number of the floating base of each robot among those of the system; of no use where it is
+        fixed.
     """
     carriers = [[link.joint for link in links if link.robot == k] for k in range(len(structures))]
     groups = [_placed(group, carriers) for group in make_groups(structures, carriers)]
@@ -129,21 +139,23 @@ def make_tables(
     rows = max(group.blocks[-1].rows for group in groups)
     constants = np.concatenate([_constants(block, structures) for block in blocks])  # (J, 34, 4)
     turns = fields_of(ChainJoint, constants.swapaxes(1, 2)).turns
-    bases = [
+    origins = [
         np.stack([structures[branch.robot].translations[0] for branch in block.filled()], axis=-1)
         for block in blocks
     ]
     return RobotTables(
-        blocks=_block_table(groups),
-        groups=_group_table(groups, first_terms, terms, robots, links),
+        blocks=_block_table(groups, first_joints, bases),
+        groups=_group_table(groups, first_terms, terms, robots, links, structures),
         robots=np.array(robots, dtype=np.int64),
         energies=np.concatenate([robot.energy + np.arange(robot.energies) for robot in robots]),
-        sources=_integers(np.concatenate([_sources(block, first_joints) for block in blocks])),
+        sources=_integers(
+            np.concatenate([_sources(block, structures, first_joints) for block in blocks])
+        ),
         divides=_integers([flag for group in groups for flag in _divides(group)]),
         carries=_integers([slot for block in blocks for slot in _slots(block)]),
         turns=np.ascontiguousarray(turns).ravel(),
         constants=_aligned(constants),
-        bases=np.array(bases).reshape(len(blocks), -1),
+        bases=np.array(origins).reshape(len(blocks), -1),
         gravity=np.array(gravity, dtype=float),
         sizes=Sizes(rows, max(group.blocks[-1].end for group in groups), terms),
         wanted=Wanted(),
@@ -157,12 +169,20 @@ def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
     """The blocks of a group, one after the other in scratch and leaves."""
     blocks: list[PlacedBlock] = []
     for branches in group.blocks:
+        start = FIXED_BASE if branches[0].parent < 0 else LINK
+        if group.floats and start == FIXED_BASE:
+            start = FLOATING_BASE
+        base_columns = BASE_DOF if group.floats and start == LINK else 0
         joints = max(len(branch.joints) for branch in branches)
         ancestors = max(len(branch.ancestors) for branch in branches)
-        leaves, motions = _offsets(blocks[-1].end if blocks else 0, joints, ancestors + joints)
+        numbers, columns = joints, base_columns + ancestors + joints
+        if start == FLOATING_BASE:
+            numbers = columns = BASE_DOF
+        leaves, motions = _offsets(blocks[-1].end if blocks else 0, numbers, joints, columns)
         block = PlacedBlock(
-            branches, joints, ancestors, blocks[-1].rows if blocks else 0, leaves, motions, 0, ()
-        )
+            branches, joints, ancestors, blocks[-1].rows if blocks else 0, leaves, motions, 0, (),
+            start, base_columns,
+        )  # fmt: skip
         carries = {
             block.padding(branch) + k
             for branch in branches
@@ -172,17 +192,21 @@ def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
         # matrices of Coriolis forces begin at the inertia and need more room
         end = max(motions + BODY_WIDTH * len(carries), leaves.inertia + block.columns**2)
         blocks.append(block._replace(carries=tuple(sorted(carries)), end=_rounded_up(end)))
-    return PlacedGroup(group.plain, tuple(blocks))
+    return PlacedGroup(group.plain, group.floats, tuple(blocks))
 
 
-def _offsets(at: int, joints: int, columns: int, energies: int = 1) -> tuple[TermOffsets, int]:
+def _offsets(
+    at: int, joints: int, links: int, columns: int, energies: int = 1
+) -> tuple[TermOffsets, int]:
     """Offsets of the terms of so many joints from one place on, and their end."""
     jacobian = at + joints * columns
     bias = jacobian + JACOBIAN_WIDTH * joints
     energy = bias + 2 * joints
     poses = _rounded_up(energy + energies)
-    terms = TermOffsets(joints, at, columns, jacobian, bias, bias + joints, energy, energies, poses)
-    return terms, poses + _rounded_up(POSE_WIDTH * joints)
+    terms = TermOffsets(
+        joints, links, at, columns, jacobian, bias, bias + joints, energy, energies, poses
+    )
+    return terms, poses + _rounded_up(POSE_WIDTH * links)
 
 
 def _rounded_up(count: int) -> int:
@@ -207,11 +231,12 @@ def _first_terms(groups: Sequence[PlacedGroup]) -> tuple[dict[int, int], int]:
     return first, end + LANES  # for what has no place
 
 
-def _sizes_of(group: PlacedGroup, robot: int) -> tuple[int, int, int]:
-    """Joints of a robot, twice, and the number of its branches that begin at the base."""
+def _sizes_of(group: PlacedGroup, robot: int) -> tuple[int, int, int, int]:
+    """Numbers of a robot's velocity, its links, columns of its inertia, energies."""
     branches = [x for block in group.blocks for x in block.branches if x.robot == robot]
-    joints = sum(len(x.joints) for x in branches)
-    return joints, joints, sum(x.level == 0 for x in branches)
+    links = sum(len(x.joints) for x in branches)
+    joints = links + (BASE_DOF - 1 if group.floats else 0)
+    return joints, links, joints, sum(x.level == 0 for x in branches)
 
 
 def _robot_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -> list[TermOffsets]:
@@ -224,9 +249,10 @@ def _robot_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -
                 if not group.plain:
                     robots[x.robot], _ = _offsets(first, *_sizes_of(group, x.robot))
                     continue
-                at, _ = _offsets(first, block.joints, block.joints)
+                at, _ = _offsets(first, block.joints, block.joints, block.joints)
                 robots[x.robot] = at._replace(
                     joints=len(x.joints),
+                    links=len(x.joints),
                     inertia=at.inertia + padding * (block.joints + 1),
                     jacobian=at.jacobian + JACOBIAN_WIDTH * padding,
                     bias=at.bias + padding,
@@ -239,7 +265,9 @@ def _robot_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -
 # --- tables ---------------------------------------------------------------------------------------
 
 
-def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
+def _block_table(
+    groups: Sequence[PlacedGroup], first_joints: Sequence[int], bases: Sequence[int]
+) -> Blocks:
     blocks = [block for group in groups for block in group.blocks]
     lineage: list[list[int]] = []
     parents, first_ancestor = [], []
@@ -252,7 +280,7 @@ def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
                 way = [places[x.robot, joint] for joint in x.ancestors]
                 lanes.append(way[:1] * (block.ancestors - len(way)) + way)
             lineage += np.transpose(lanes).astype(int).tolist()
-            parents.append([lane[-1] if lane else 0 for lane in lanes])
+            parents.append([places.get((x.robot, x.parent), 0) for x in block.filled()])
     joints = [block.joints for block in blocks]
     return Blocks(
         joints=_integers(joints),
@@ -260,6 +288,10 @@ def _block_table(groups: Sequence[PlacedGroup]) -> Blocks:
         ancestors=_integers([block.ancestors for block in blocks]),
         lineage=_integers(lineage).reshape(-1, LANES),
         first_ancestor=_integers(first_ancestor),
+        start=_integers([block.start for block in blocks]),
+        base_columns=_integers([block.base_columns for block in blocks]),
+        base=_integers([[bases[x.robot] for x in block.filled()] for block in blocks]),
+        base_rate=_integers([[first_joints[x.robot] for x in block.filled()] for block in blocks]),
         parents=_integers(parents),
         branches=_integers([len(block.branches) for block in blocks]),
         first_link=_integers([block.first_link for block in blocks]),
@@ -279,9 +311,10 @@ def _group_table(
     terms: int,
     robots: Sequence[TermOffsets],
     links: Sequence[BodyLink],
+    structures: Sequence[TreeStructure],
 ) -> Groups:
     rows = {(link.robot, link.joint): link.row for link in links}
-    runs = [_runs(group, robots) for group in groups]
+    runs = [_runs(group, robots, structures) for group in groups]
     motions = [_motions(group, links) for group in groups]
     spare = terms - LANES
     plain = np.array([group.plain for group in groups])
@@ -293,6 +326,7 @@ def _group_table(
     return Groups(
         first_block=_integers(_starts([len(group.blocks) for group in groups])),
         plain=_integers(plain),
+        floats=_integers([group.floats for group in groups]),
         first_term=np.where(plain, [first_terms[block.branches[0].robot] for block in first], 0),
         term_count=np.where(plain, [block.motions for block in first], 0),
         bodies=_integers(bodies),
@@ -324,7 +358,9 @@ class GroupRuns(NamedTuple):
     coriolis: list[Run]
 
 
-def _runs(group: PlacedGroup, robots: Sequence[TermOffsets]) -> GroupRuns:
+def _runs(
+    group: PlacedGroup, robots: Sequence[TermOffsets], structures: Sequence[TreeStructure]
+) -> GroupRuns:
     runs, roots = GroupRuns([], [], []), [0] * len(robots)
     if group.plain:
         return runs
@@ -335,42 +371,57 @@ def _runs(group: PlacedGroup, robots: Sequence[TermOffsets]) -> GroupRuns:
                 place = terms.energy + roots[branch.robot]
                 runs.terms.append(Run(leaves.energy, lane, place, 1))
                 roots[branch.robot] += 1
-            for first, joint, count in _in_order(branch):
-                k = block.padding(branch) + first
+            structure, at_base = structures[branch.robot], block.start == FLOATING_BASE
+            for first, joint, count in _in_order(branch.joints):
+                k, number = block.padding(branch) + first, structure.number_of(joint)
+                numbers = BASE_DOF if at_base else count
                 for name, size in (
                     ("jacobian", JACOBIAN_WIDTH),
                     ("bias", 1),
                     ("gravity_torque", 1),
                 ):
                     leaf, place = getattr(leaves, name), getattr(terms, name)
-                    run = Run(leaf + size * k, lane, place + size * joint, size * count)
+                    run = Run(leaf + size * k, lane, place + size * number, size * numbers)
                     runs.terms.append(run)
                 leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
                 runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
-            inertia, coriolis = _matrix_runs(block, lane, branch, terms)
+            if at_base:
+                runs.terms.extend(_base_runs(leaves.inertia, lane, terms))
+                continue
+            inertia, coriolis = _matrix_runs(block, lane, branch, terms, structure)
             runs.terms.extend(inertia)
             runs.coriolis.extend(coriolis)
     return runs
 
 
+def _base_runs(leaf: int, lane: int, terms: TermOffsets) -> list[Run]:
+    """Runs of the rows of a floating base of the inertia."""
+    return [
+        Run(leaf + BASE_DOF * k, lane, terms.inertia + terms.stride * k, k + 1)
+        for k in range(BASE_DOF)
+    ]
+
+
 def _matrix_runs(
-    block: PlacedBlock, lane: int, branch: Branch, terms: TermOffsets
+    block: PlacedBlock, lane: int, branch: Branch, terms: TermOffsets, structure: TreeStructure
 ) -> tuple[list[Run], list[Run]]:
     """Runs of the rows of a branch of the inertia; those and columns of Coriolis forces."""
     inertia, coriolis, leaf = [], [], block.leaves.inertia
-    columns = block.columns_of(branch)
+    columns, number_of = block.columns_of(branch), structure.number_of
     for k, joint in enumerate(branch.joints, block.padding(branch)):
-        row = block.ancestors + k
+        row, number = block.ancestors + k, number_of(joint)
+        first = terms.inertia + terms.stride * number
+        if block.base_columns:
+            inertia.append(Run(leaf + block.columns * k, lane, first, block.base_columns))
+        for _, before, count in _in_order(branch.ancestors):
+            source, target = leaf + columns[before], first + number_of(before)
+            inertia.append(Run(source + block.columns * k, lane, target, count))
+            coriolis.append(Run(source + block.columns * row, lane, target, count))
         for before in branch.ancestors:
-            source, target = leaf + columns[before], terms.inertia + before
-            inertia.append(Run(source + block.columns * k, lane, target + terms.stride * joint, 1))
-            coriolis.append(
-                Run(source + block.columns * row, lane, target + terms.stride * joint, 1)
-            )
-            source, target = leaf + block.columns * columns[before], terms.inertia + joint
-            coriolis.append(Run(source + row, lane, target + terms.stride * before, 1))
-        for _, before, count in _in_order(branch):
-            source, target = leaf + columns[before], terms.inertia + terms.stride * joint + before
+            source, target = leaf + block.columns * columns[before], terms.inertia + number
+            coriolis.append(Run(source + row, lane, target + terms.stride * number_of(before), 1))
+        for _, before, count in _in_order(branch.joints):
+            source, target = leaf + columns[before], first + number_of(before)
             coriolis.append(Run(source + block.columns * row, lane, target, count))
             if before <= joint:
                 lower = min(count, joint + 1 - before)
@@ -378,9 +429,10 @@ def _matrix_runs(
     return inertia, coriolis
 
 
-def _in_order(branch: Branch) -> list[tuple[int, int, int]]:
-    """Joints of a branch that are numbered in order: place of the first, its number, how many."""
-    joints = np.array(branch.joints)
+def _in_order(joints: Sequence[int]) -> list[tuple[int, int, int]]:
+    """Joints that are numbered in order: place of the first, its number, how many."""
+    if not joints:
+        return []
     starts = [0, *(np.flatnonzero(np.diff(joints) != 1) + 1), len(joints)]
     return [(int(a), int(joints[a]), int(b - a)) for a, b in pairwise(starts)]
 
@@ -434,8 +486,8 @@ def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, i
 def _divides(group: PlacedGroup) -> list[bool]:
     """Whether branches begin at the link of each joint of the group's blocks."""
     rows = {
-        group.places()[x.robot, x.ancestors[-1]] // LANES
-        for block in group.blocks for x in block.branches if x.ancestors
+        group.places()[x.robot, x.parent] // LANES
+        for block in group.blocks for x in block.branches if x.parent >= 0
     }  # fmt: skip
     return [
         block.first_link + block.ancestors + k in rows
@@ -449,10 +501,15 @@ def _slots(block: PlacedBlock) -> list[int]:
     return [block.carries.index(k) if k in block.carries else -1 for k in range(block.joints)]
 
 
-def _sources(block: PlacedBlock, first_joints: Sequence[int]) -> np.ndarray:
+def _sources(
+    block: PlacedBlock, structures: Sequence[TreeStructure], first_joints: Sequence[int]
+) -> np.ndarray:
     """Each lane's joints in the stacked vectors, shape (4 n,); padding reads any of its robot."""
     lanes = [
-        [first_joints[x.robot] + joint for joint in (*[0] * block.padding(x), *x.joints)]
+        [
+            first_joints[x.robot] + structures[x.robot].number_of(joint)
+            for joint in (*[0] * block.padding(x), *x.joints)
+        ]
         for x in block.filled()
     ]
     return np.transpose(lanes).ravel()

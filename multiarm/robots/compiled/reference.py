@@ -9,12 +9,18 @@ import pinocchio as pin
 
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
 from multiarm.jit.rows import as_row
+from multiarm.robots.base_motion import BaseMotion
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import LinkPose, LinkTerms
 
 
 def pinocchio_terms(
-    robot: Robot, joints: Sequence[int], angles: np.ndarray, rates: np.ndarray, gravity: np.ndarray
+    robot: Robot,
+    joints: Sequence[int],
+    angles: np.ndarray,
+    rates: np.ndarray,
+    base_poses: np.ndarray,
+    gravity: np.ndarray,
 ) -> list[LinkTerms]:
     """Pinocchio's terms at some states, as copies.
 
@@ -24,17 +30,26 @@ def pinocchio_terms(
     joints : sequence of int
         Pinocchio's numbers of the joints whose links are ``LinkTerms.bodies``; 0: the base.
     angles, rates : ndarray, shape (k, n)
-        Joint positions [rad or m] and velocities.
+        Joint positions [rad or m] and velocities, as of :class:`multiarm.robots.terms.RobotState`.
+    base_poses : ndarray, shape (k, 7)
+        Of the base where it floats, else of no use.
     gravity : ndarray, shape (3,)
     """
     model, near = robot.model.copy(), _near(robot.model)
     model.gravity.linear = np.array(gravity)
     data = model.createData(), near.createData()
     terms = []
-    for angle, rate in zip(angles, rates, strict=True):
-        q = robot.configuration(angle)
-        coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
-        terms.append(_link_terms(model, data[0], q, rate, joints, coriolis))
+    for angle, rate, pose in zip(angles, rates, base_poses, strict=True):
+        if robot.floats:
+            base = BaseMotion(pose, rate[: robot.base_dof])
+            q, coriolis = (
+                robot.configuration(angle[robot.base_dof :], base),
+                np.zeros([robot.dof] * 2),
+            )
+        else:
+            q = robot.configuration(angle)
+            coriolis = pin.computeCoriolisMatrix(near, data[1], q, rate).copy()
+        terms.append(_link_terms(robot, model, data[0], q, rate, joints, coriolis))
     return terms
 
 
@@ -60,23 +75,31 @@ def _near(model: pin.Model) -> pin.Model:
 
 
 def _link_terms(
+    robot: Robot,
     model: pin.Model,
     data: pin.Data,
     q: np.ndarray,
-    v: np.ndarray,
+    rate: np.ndarray,
     joints: Sequence[int],
     coriolis: np.ndarray,
 ) -> LinkTerms:
+    turn = robot.turn(q)
+    v = turn.T @ rate if robot.floats else rate
     inertia = np.triu(pin.crba(model, data, q, pin.Convention.LOCAL))
     gravity_torque = pin.computeGeneralizedGravity(model, data, q).copy()
     bias = pin.nonLinearEffects(model, data, q, v).copy()
     energy = pin.computePotentialEnergy(model, data, q)
     jacobian = pin.computeJointJacobians(model, data, q).reshape(6, model.nv).copy()
     pin.forwardKinematics(model, data, q, v, np.zeros(model.nv))
-    poses = [as_row(LinkPose(X.rotation, X.translation)) for X in data.oMi.tolist()[1:]]
+    links = data.oMi.tolist()[2 if robot.floats else 1 :]
+    poses = [as_row(LinkPose(X.rotation, X.translation)) for X in links]
     bodies = [_motion(model, data, joint) if joint > 0 else at_rest() for joint in joints]
+    inertia += np.triu(inertia, 1).T
+    if robot.floats:
+        inertia, jacobian = turn @ inertia @ turn.T, jacobian @ turn.T
+        bias, gravity_torque = turn @ bias, turn @ gravity_torque
     return LinkTerms(
-        inertia=inertia + np.triu(inertia, 1).T,
+        inertia=inertia,
         jacobian=jacobian,
         bias=bias,
         gravity_torque=gravity_torque,

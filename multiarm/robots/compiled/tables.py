@@ -34,6 +34,8 @@ from multiarm.jit.structs import (
 from multiarm.robots.chain import ChainJoint
 from multiarm.robots.terms import LinkPose
 
+# At what the branches of a block begin.
+FIXED_BASE, FLOATING_BASE, LINK = 0, 1, 2
 # Robots with more joints between base and a link are left to Pinocchio.
 MOST_JOINTS = 16
 
@@ -81,6 +83,10 @@ JOINT_LANES, LINK_LANES, TURN_LANES, FRAME_LANES, JACOBIAN_LANES, POSE_LANES, BO
 )
 # Where the numbers begin that are summed inwards.
 LINK_SUMS, TURN_SUMS = offset_of(LinkSweep, "mass"), offset_of(TurnSweep, "momentum")
+# Where the parts of a frame begin.
+FRAME_AXES, FRAME_ORIGIN, FRAME_TWIST, FRAME_RATE = (
+    offset_of(FrameSweep, name) for name in ("axes", "origin", "twist", "rate")
+)
 open_joint, open_link, open_turn = lanes_of(ChainJoint), lanes_of(LinkSweep), lanes_of(TurnSweep)
 open_frame, open_jacobian, open_pose, open_body = (
     lanes_of(FrameSweep), lanes_of(JacobianColumn), lanes_of(LinkPose), lanes_of(BodyMotion)
@@ -98,10 +104,12 @@ class TermOffsets(NamedTuple):
     """Where the terms of a robot are among those of all, in numbers; a row of int64.
 
     Of its inertia (n, n), the lower triangle by rows; Jacobian (n, 6), a row a joint; bias and
-    gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (n, 12).
+    gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (l, 12).
+    A floating base has six of the n numbers of a velocity, and one of the l links.
     """
 
-    joints: Number
+    joints: Number  # n
+    links: Number
     inertia: Number
     stride: Number  # of the inertia
     jacobian: Number
@@ -151,15 +159,23 @@ class Blocks(NamedTuple):
     ancestors, lineage, first_ancestor : int64 (b,), (a, 4), (b,)
         How many joints are before the longest way of a lane's branch; the places of each lane's,
         from the base on, and the block's first one.  Shorter ways repeat their first one.
+    start : int64 (b,)
+        At what its branches begin: ``FIXED_BASE``, ``FLOATING_BASE`` (the block is that of these
+        bases), or ``LINK``.
+    base_columns : int64 (b,)
+        Columns of its inertia for a floating base, 6 or 0.
+    base, base_rate : int64 (b, 4)
+        Number of each lane's floating base, and of the first of its rates.
     parents : int64 (b, 4)
-        Place of the link at which each lane's branch begins, where that is not the base.
+        Place of the link at which each lane's branch begins.
     branches : int64 (b,)
         Number of lanes that have one.
     first_link : int64 (b,)
         Its first row of scratch; copies of the ancestors are before the joints.
     inertia, jacobian, bias, gravity_torque, energy, poses, motions : int64 (b,)
-        Offsets in a lane's leaves: with n joints and a ancestors, inertia (n, a + n), motions of
-        the links that take part in connections; the rest as in :class:`TermOffsets`.
+        Offsets in a lane's leaves: with n joints, a ancestors and b columns of a floating base,
+        inertia (n, b + a + n), motions of the links that take part in connections; the rest as in
+        :class:`TermOffsets`.
     """
 
     joints: Ints1
@@ -167,6 +183,10 @@ class Blocks(NamedTuple):
     ancestors: Ints1
     lineage: Ints2
     first_ancestor: Ints1
+    start: Ints1
+    base_columns: Ints1
+    base: Ints2
+    base_rate: Ints2
     parents: Ints2
     branches: Ints1
     first_link: Ints1
@@ -184,8 +204,9 @@ class Groups(NamedTuple):
 
     first_block : int64 (g + 1,)
         Of each group among all blocks.
-    plain : int64 (g,)
-        Whether it is a block of plain arms, which has no moves.
+    plain, floats : int64 (g,)
+        Whether it is a block of plain arms, which has no moves; whether its bases float, so that
+        the first block is that of these bases.
     first_term, term_count : int64 (g,)
         Of plain arms: offset of the terms of the first one; their number, the same for each.
     bodies : int64 (g, 4)
@@ -198,6 +219,7 @@ class Groups(NamedTuple):
 
     first_block: Ints1
     plain: Ints1
+    floats: Ints1
     first_term: Ints1
     term_count: Ints1
     bodies: Ints2
@@ -218,7 +240,7 @@ class Sizes(NamedTuple):
 class RobotTables(NamedTuple):
     """Constants of compiled robots; ``b`` blocks, ``J`` joints in all of them, four lanes each.
 
-    robots : int64 (robots, 9)
+    robots : int64 (robots, 10)
         The :class:`TermOffsets` of each robot.
     energies : int64 (e,)
         Offsets of all potential energies.
@@ -233,7 +255,7 @@ class RobotTables(NamedTuple):
     constants : (34 * 4 J,)
         Of every :class:`multiarm.robots.chain.ChainJoint`, lanes each.
     bases : (b, 12)
-        Positions of the robots' first joints in the world [m], lanes each.
+        Positions of the robots' first joints in the world [m], lanes each, where they are fixed.
     gravity : (3,)
     sizes : Sizes
     wanted : Wanted
@@ -259,6 +281,8 @@ class RobotWork(NamedTuple):
 
     angles, rates : (joints,)
         Positions and velocities of the system's joints.
+    base_poses : (B, 7)
+        Poses of the system's floating bases.
     bodies : (24 B,)
         Motion of the links that take part in connections, see
         :class:`multiarm.contacts.motion.BodyMotion`.
@@ -267,6 +291,8 @@ class RobotWork(NamedTuple):
     links, link_turns, frames : (4 w r,)
         Scratch of a group, rows of w lanes: every :class:`LinkSweep`, :class:`TurnSweep` and, where
         branches begin, :class:`FrameSweep`.
+    origins : (b, 12)
+        Points about which moments are [m], lanes each: of floating bases where they are.
     start, link_sum, turn_sum : (4 w,)
         Scratch of a block: where its lanes begin; what they add to the links where they begin.
     leaves : (4 l,)
@@ -278,6 +304,7 @@ class RobotWork(NamedTuple):
 
     angles: Floats1
     rates: Floats1
+    base_poses: Floats2
     bodies: Floats1
     angle: Floats1
     rate: Floats1
@@ -286,6 +313,7 @@ class RobotWork(NamedTuple):
     links: Floats1
     link_turns: Floats1
     frames: Floats1
+    origins: Floats2
     start: Floats1
     link_sum: Floats1
     turn_sum: Floats1
@@ -319,14 +347,15 @@ def make_terms(tables: RobotTables) -> np.ndarray:
 
 
 def make_work(
-    tables: RobotTables, angles: np.ndarray, rates: np.ndarray, bodies: np.ndarray,
-    terms: np.ndarray, coriolis: np.ndarray,
+    tables: RobotTables, angles: np.ndarray, rates: np.ndarray, base_poses: np.ndarray,
+    bodies: np.ndarray, terms: np.ndarray, coriolis: np.ndarray,
 ) -> RobotWork:  # fmt: skip
     """Allocate the workspace; the other arrays are given."""
     lanes, rows = [aligned_zeros(tables.sources.size) for _ in range(4)], tables.sizes.rows
     return RobotWork(
         angles=angles,
         rates=rates,
+        base_poses=base_poses,
         bodies=bodies.reshape(-1),
         angle=lanes[0],
         rate=lanes[1],
@@ -335,6 +364,7 @@ def make_work(
         links=aligned_zeros(LINK_LANES * rows),
         link_turns=aligned_zeros(TURN_LANES * rows),
         frames=aligned_zeros(FRAME_LANES * rows),
+        origins=tables.bases.copy(),
         start=aligned_zeros(FRAME_LANES),
         link_sum=aligned_zeros(LINK_LANES),
         turn_sum=aligned_zeros(TURN_LANES),
