@@ -35,6 +35,7 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.held_control import with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Model, effect_constants, row_constants
+from multiarm.dynamics.solver.trees import pays_as_tree
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
 from multiarm.effects.unilateral import unilateral_kernels
@@ -111,6 +112,7 @@ def uncontrolled_model(
         effects=effects,
         effect_links=tuple(context.links),
         levers=tuple(_levers(by_name, rows.connections, frames, layout)),
+        trees=_trees(by_name, layout),
         functions=_functions(layout) | (REPORT_FUNCTIONS if guards else {}),
         lazy_functions=LAZY_FUNCTIONS,
         breakpoints=effects.breakpoints,
@@ -155,6 +157,18 @@ def with_control(model: Model, control: ControlProgram) -> Model:
     if control.python is None:
         return controlled
     return controlled.with_python_control(control.python, control.sampling)
+
+
+def _trees(robots: Mapping[str, Robot], layout: Layout) -> dict[int, np.ndarray]:
+    """``Model.trees``."""
+    in_order, trees = list(robots.values()), {}
+    places = layout.places_of_blocks[: layout.blocks_of_robots.stop]
+    for block, (robot, first) in enumerate(places):
+        parents = in_order[robot].parent_numbers[first : first + layout.joint_counts[block]]
+        parents = np.maximum(parents - first, -1)
+        if pays_as_tree(parents):
+            trees[block] = parents
+    return trees
 
 
 def _levers(

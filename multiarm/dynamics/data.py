@@ -493,7 +493,7 @@ def with_rows(model: Model, variables: Variables) -> RowData:
     return RowData(
         model=model,
         arrays=variables,
-        work=make_work(joints, contacts, model.levers, model.layout.node),
+        work=make_work(joints, contacts, model.levers, model.layout.node, model.trees),
         coupled=make_coupled(joints, contacts, model.layout.node),
         cache={},
     )

@@ -183,9 +183,12 @@ def contact_rows(struct, model, data, work):
 @inlined
 def constraint_matrices(model, data, work):
     """Rows of ``W_o``, and ``W`` of every block, from the kinematics of the contacts."""
-    for c in range(model.connections.block.size):
-        if model.connections.serial[c]:
+    links, pairs = data.bodies.links.shape[0], model.connections
+    for c in range(pairs.block.size):
+        if pairs.serial[c]:
             rows_of_serial_block(c, model, data, work)
+        elif pairs.first[c] < links <= pairs.second[c] and rows_of(c, data) >= LANES:
+            rows_of_link(c, model, data, work)
         else:
             rows_of_connection(c, model, data, work)
     write_joint_rows(model, data, work)
@@ -222,6 +225,59 @@ def rows_of_serial_block(c, model, data, work):
         k = min(k, m - LANES)  # the last four may overlap those before
         write_four_columns(i, before, k, d, J, wrench, work)
         k += LANES
+
+
+@inlined
+def rows_of(c, data):
+    """Number of rows of a connection."""
+    return data.rows.first[c + 1] - data.rows.first[c]
+
+
+@kernel
+def rows_of_link(c, model, data, work):
+    """``W_o`` and ``W`` of a connection of a link with an object or the world, in SIMD packs.
+
+    Entries of W of joints that do not move the link are never written: they are zero.
+    """
+    i, link, second = (
+        model.connections.block[c],
+        model.connections.first[c],
+        model.connections.second[c],
+    )
+    d = work.first_joint[i + 1] - work.first_joint[i]
+    first, m, o = data.rows.first[c], rows_of(c, data), object_of(second, data)
+    J = floats_at(open_addresses(data.bodies.pointers[i]).jacobian, 6 * d)
+    x_o, wrench = open_body(data.bodies.motion[second]).origin, data.rows.block_wrenches
+    for k in range(m):
+        row = open_contact(data.rows.kinematics[first + k])
+        if o >= 0:
+            write_object_row(row, x_o, data.rows.W_o[first + k], 6 * o)
+        wrench[0, k], wrench[1, k], wrench[2, k] = scale(-1.0, row.normal)
+        wrench[3, k], wrench[4, k], wrench[5, k] = sub(cross(row.normal, row.point), row.couple)
+    N, W, chain = wrench.shape[1], work.W, model.links.chain[link]
+    block = i * W.shape[1] * W.shape[2] + first - work.first_contact[i]
+    k = 0
+    while k < m:
+        k = min(k, m - LANES)  # the last four may overlap those before
+        forces = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
+        moments = (
+            load_pack(wrench, 3 * N + k),
+            load_pack(wrench, 4 * N + k),
+            load_pack(wrench, 5 * N + k),
+        )
+        for l in range(model.links.length[link]):
+            j = chain[l]
+            store_pack(W, block + k + j * W.shape[2], four_entries(J, 6 * j, forces, moments))
+        k += LANES
+
+
+@inlined
+def four_entries(J, at, forces, moments):
+    """Powers of four wrenches at a column of a Jacobian."""
+    a = broadcast(J[at]) * forces[0] + broadcast(J[at + 1]) * forces[1]
+    b = broadcast(J[at + 3]) * moments[0] + broadcast(J[at + 4]) * moments[1]
+    a = a + broadcast(J[at + 2]) * forces[2]
+    return a + (b + broadcast(J[at + 5]) * moments[2])
 
 
 @inlined
@@ -287,21 +343,15 @@ def write_four_columns(i, before, k, d, J, wrench, work):
     ``before`` is the number of contacts of the block that stand before this connection's.
     """
     N, W = wrench.shape[1], work.W
-    w0, w1, w2 = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
-    w3, w4, w5 = (
+    forces = load_pack(wrench, k), load_pack(wrench, N + k), load_pack(wrench, 2 * N + k)
+    moments = (
         load_pack(wrench, 3 * N + k),
         load_pack(wrench, 4 * N + k),
         load_pack(wrench, 5 * N + k),
     )
     at = i * W.shape[1] * W.shape[2] + before + k
     for j in range(d):
-        a = broadcast(J[6 * j]) * w0 + broadcast(J[6 * j + 1]) * w1 + broadcast(J[6 * j + 2]) * w2
-        b = (
-            broadcast(J[6 * j + 3]) * w3
-            + broadcast(J[6 * j + 4]) * w4
-            + broadcast(J[6 * j + 5]) * w5
-        )
-        store_pack(W, at, a + b)
+        store_pack(W, at, four_entries(J, 6 * j, forces, moments))
         at += W.shape[2]
 
 

@@ -78,6 +78,8 @@ class Model:
         tuple[int, int], ...
     ]  # robot and joint of every link that an effect acts on
     levers: tuple[np.ndarray, ...]  # ``NodeWork.levers`` of each block
+    # blocks that are eliminated as trees: the number before each one in a velocity, or -1
+    trees: Mapping[int, np.ndarray]
     # the compiled functions in ``Functions``; the lazy ones are compiled at their first call
     functions: Mapping[str, Kernel]
     lazy_functions: Mapping[str, Kernel]

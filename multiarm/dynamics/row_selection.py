@@ -9,6 +9,7 @@ selected while compiled code runs: it may have read the sizes.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
@@ -76,10 +77,10 @@ class RowSelection(Data):
         super().__init__(replace(model.select(range(layout.contacts)), unilateral=None), full)
         self.tangents: RowSelection | None = None
         self._full, self._room = full, self._make_room(variables)
-        self._places = row_places(*_shapes(layout, layout.contact_counts, 0))
+        self._places = row_places(*_shapes(layout, layout.contact_counts, 0, model.trees))
         codes = fields_of(Code, model.constants.contacts.codes[: layout.contacts])
         of_joints = is_of_joints(codes.kind)
-        tables = partial(_tables, layout, of_joints)
+        tables = partial(_tables, layout, of_joints, model.trees)
         self._tables = lru_cache(MOST_RECENT)(tables)
         # what is made for some rows stays right for them: their arrays are where they were
         self._selections = lru_cache(MOST_RECENT)(partial(SelectedRows, model, self._room))
@@ -93,7 +94,7 @@ class RowSelection(Data):
         # blocks with more contacts than joints are in no group
         joints, contacts = layout.joint_counts, layout.contact_counts
         fewer = np.minimum(joints, contacts).tolist()
-        groups = make_work(joints, fewer, node=layout.node).groups
+        groups = make_work(joints, fewer, node=layout.node, parents=self.model.trees).groups
         constants = constants._replace(contacts=empty_table(layout.contacts + parts, table.shapes))
         self.replace_arrays(
             constants=constants,
@@ -163,7 +164,8 @@ class SelectedRows:
     def work(self) -> NodeWork:
         """The workspace for the selected rows."""
         work = beginnings(self._room.work, work_shapes(*self._sizes, self._full.layout.node))
-        return work._replace(groups=beginnings(work.groups, group_shapes(*self._sizes)))
+        shapes = group_shapes(*self._sizes, self._full.trees)
+        return work._replace(groups=beginnings(work.groups, shapes))
 
     @cached_property
     def coupled(self) -> CoupledWork:
@@ -188,25 +190,31 @@ class _Tables(NamedTuple):
     order: np.ndarray
 
 
-def _tables(layout: Layout, of_joints: np.ndarray, selected: bytes) -> _Tables:
+def _tables(
+    layout: Layout, of_joints: np.ndarray, trees: Collection[int], selected: bytes
+) -> _Tables:
     rows = np.flatnonzero(np.frombuffer(selected, dtype=np.uint8))
     of_owners, of_blocks = (
         np.searchsorted(rows, bounds) for bounds in (layout.first_contact, layout.first_of_block)
     )
     joints, counts = layout.joint_counts, np.diff(of_blocks).tolist()
-    shapes = _shapes(layout, counts, int(np.count_nonzero(of_joints[rows])))
+    shapes = _shapes(layout, counts, int(np.count_nonzero(of_joints[rows])), trees)
     sizes = [size for part in shapes for shape in part.values() for size in shape]
-    return _Tables(of_owners, of_blocks, counts, np.array(sizes), group_order(joints, counts))
+    return _Tables(
+        of_owners, of_blocks, counts, np.array(sizes), group_order(joints, counts, trees)
+    )
 
 
-def _shapes(layout: Layout, counts: list[int], of_joints: int) -> tuple[Shapes, ...]:
+def _shapes(
+    layout: Layout, counts: list[int], of_joints: int, trees: Collection[int]
+) -> tuple[Shapes, ...]:
     """Shapes of constants, variables and workspaces for numbers of rows."""
     joints = layout.joint_counts
     return (
         dict.fromkeys(JointRows._fields, (of_joints,)),
         row_shapes(sum(counts), layout.node),
         work_shapes(joints, counts, layout.node),
-        group_shapes(joints, counts),
+        group_shapes(joints, counts, trees),
         coupled_shapes(joints, counts, layout.node),
     )
 

@@ -303,6 +303,23 @@ def sum_pack(typing_context, value):
     return types.float64(PACK), generate
 
 
+def _any_nonzero(value):
+    return bool(np.any(value != 0.0))
+
+
+@generated(_any_nonzero)
+def any_nonzero(typing_context, value):
+    """Whether one of the four numbers is not zero (or NaN)."""
+
+    def generate(context, builder, signature, arguments):
+        zero = ir.Constant(_VECTOR, [0.0] * LANES)
+        mask = builder.fcmp_unordered("!=", arguments[0], zero)
+        bits = builder.bitcast(mask, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.IntType(LANES)(0))
+
+    return types.boolean(PACK), generate
+
+
 def _transpose_four(source, at, out, at0, at1, at2, at3):
     rows = np.stack([_lanes(source, at + LANES * k) for k in range(LANES)])
     for place, column in zip((at0, at1, at2, at3), rows.T, strict=True):

@@ -222,6 +222,15 @@ class Robot:
         return np.array(self.model.parents[1:], dtype=np.int64) - 1
 
     @property
+    def parent_numbers(self) -> np.ndarray:
+        """The number before each one of a velocity on its way from the base, or -1; (dof,)."""
+        parents = np.full(self.dof, -1, dtype=np.int64)
+        for joint in range(1, self.model.njoints):
+            chain = self.chain_of(joint)
+            parents[chain[1:]] = chain[:-1]
+        return parents
+
+    @property
     def tip(self) -> Tip:
         """The tip of an arm."""
         (tip,) = self.tips.values()

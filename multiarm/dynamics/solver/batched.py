@@ -35,6 +35,11 @@ import math
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.node import NODE, open_group
+from multiarm.dynamics.solver.trees import (
+    eliminate_tree,
+    largest_free_rate_of_trees,
+    substitute_tree,
+)
 from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import (
@@ -90,6 +95,8 @@ def solve_batched(work, W_o, object_inertia, f_o, f_j, c, a_o, a_j, force, node=
         group = open_group(groups.group[g])
         substitute_group(group, packs_of(groups.tables, group.first), of_object, node)
         scatter_unknowns(g, group, work, a_j, force)
+    for t in range(work.trees.block.shape[0]):
+        substitute_tree(t, work, a_o, a_j, force, node)
     return OK
 
 
@@ -101,7 +108,8 @@ def least_pivot(work, W_o, f_j, c, node):
     block is always deficient.
     """
     groups, count = work.groups, work.groups.group.shape[0]
-    least = 1.0 if count > 0 else 0.0
+    trees = work.trees.block.shape[0]
+    least = 1.0 if count > 0 or trees == work.first_joint.size - 1 else 0.0
     sums, factors = packs_of(groups.node, 0), packs_of(groups.factors, 0)
     for k in range(node * (node + 1)):
         sums[k] = broadcast(0.0)
@@ -113,6 +121,8 @@ def least_pivot(work, W_o, f_j, c, node):
         inertia, relative = eliminate_group(group, table, factors, groups.stiffness[g], node)
         add_group(group, table, factors, sums, groups.block_present[g], node)
         least = min(least, write_pivots(g, group, work, inertia, relative))
+    for t in range(trees):
+        least = min(least, eliminate_tree(t, work, W_o, f_j, c, node))
     return least
 
 
@@ -344,4 +354,4 @@ def largest_free_rate(work):
                     rate += u * inverse * groups.tables[row + LANES * right]
                     row += LANES * group.width
                 largest = max(largest, abs(rate))
-    return largest
+    return max(largest, largest_free_rate_of_trees(work))

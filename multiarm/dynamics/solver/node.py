@@ -44,13 +44,14 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
+from multiarm.dynamics.solver.trees import NO_TREES, Trees, tree_blocks
 from multiarm.dynamics.status import BLOCK_INERTIA, BLOCK_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.rows import Number, row_of, width
@@ -133,6 +134,7 @@ class NodeWork(NamedTuple):
     y: Floats1
     z: Floats1
     groups: BlockGroups
+    trees: Trees
 
 
 def make_work(
@@ -140,6 +142,7 @@ def make_work(
     contacts: list[int],
     levers: Sequence[np.ndarray] | None = None,
     node: int = NODE,
+    parents: Mapping[int, np.ndarray] = NO_TREES,
 ) -> NodeWork:
     """Allocate for blocks with ``joints[i]`` joints, ``contacts[i]`` contacts, and levers [m]."""
     n, d = len(joints), max(joints)
@@ -161,10 +164,11 @@ def make_work(
         L=np.zeros((n, d, d)),
         S=np.zeros((node, node)),
         y=np.zeros(sum(joints)),
-        groups=_make_groups(joints, contacts, node),
+        groups=_make_groups(joints, contacts, node, parents),
+        trees=tree_blocks(joints, contacts, parents, node),
         **{name: np.zeros(shape) for name, shape in shapes.items()},
     )
-    tables = aligned_zeros(LANES * write_groups(group_order(joints, contacts), work))
+    tables = aligned_zeros(LANES * write_groups(group_order(joints, contacts, parents), work))
     return work._replace(groups=work.groups._replace(tables=tables))
 
 
@@ -176,10 +180,12 @@ def work_shapes(joints: list[int], contacts: list[int], node: int) -> dict[str, 
     }  # fmt: skip
 
 
-def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int, ...]]:
+def group_shapes(
+    joints: list[int], contacts: list[int], trees: Collection[int] = ()
+) -> dict[str, tuple[int, ...]]:
     """Shapes of the arrays of :class:`BlockGroups` that depend on the contacts."""
     d, m = max(joints), max(contacts)
-    g = -(-len(joints) // LANES) if all(map(operator.ge, joints, contacts)) else 0
+    g = -(-(len(joints) - len(trees)) // LANES) if all(map(operator.ge, joints, contacts)) else 0
     return {
         "group": (g, width(BlockGroup)), "blocks": (g, LANES), "joint_index": (g, LANES * d),
         "contact_index": (g, LANES * m), "contact_present": (g, LANES * m),
@@ -187,11 +193,13 @@ def group_shapes(joints: list[int], contacts: list[int]) -> dict[str, tuple[int,
     }  # fmt: skip
 
 
-def _make_groups(joints: list[int], contacts: list[int], node: int) -> BlockGroups:
+def _make_groups(
+    joints: list[int], contacts: list[int], node: int, trees: Collection[int]
+) -> BlockGroups:
     """Allocate the groups, but for their tables."""
     whole, shapes = (
         {"group", "blocks", "joint_index", "contact_index"},
-        group_shapes(joints, contacts),
+        group_shapes(joints, contacts, trees),
     )
     return BlockGroups(
         node=aligned_zeros(LANES * node * (node + 1)),
@@ -203,9 +211,10 @@ def _make_groups(joints: list[int], contacts: list[int], node: int) -> BlockGrou
     )
 
 
-def group_order(joints: list[int], contacts: list[int]) -> np.ndarray:
+def group_order(joints: list[int], contacts: list[int], trees: Collection[int] = ()) -> np.ndarray:
     """The blocks in the order in which they are put into groups: similar ones stand together."""
-    order = sorted(range(len(joints)), key=lambda i: (-joints[i], -contacts[i]))
+    small = [i for i in range(len(joints)) if i not in trees]
+    order = sorted(small, key=lambda i: (-joints[i], -contacts[i]))
     return np.array(order, dtype=np.int64)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
+from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.jit.rows import as_row
-from multiarm.robots.base_motion import BaseMotion
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import LinkPose, LinkTerms
 
@@ -41,7 +41,7 @@ def pinocchio_terms(
     terms = []
     for angle, rate, pose in zip(angles, rates, base_poses, strict=True):
         if robot.floats:
-            base = BaseMotion(pose, rate[: robot.base_dof])
+            base = FrameMotion(pose, rate[: robot.base_dof])
             q, coriolis = (
                 robot.configuration(angle[robot.base_dof :], base),
                 np.zeros([robot.dof] * 2),
