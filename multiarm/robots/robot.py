@@ -378,7 +378,7 @@ class Robot:
         model.gravity.linear = np.asarray(gravity, dtype=float)
         q = self.configuration(angles, base)
         torque = np.array(pin.computeGeneralizedGravity(model, model.createData(), q))
-        return self._turn(q) @ torque if self.floats else torque
+        return self.turn(q) @ torque if self.floats else torque
 
     def structure(self) -> TreeStructure:
         """Geometry and masses of the robot, as copies.
