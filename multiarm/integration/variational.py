@@ -18,7 +18,7 @@ motion, controls and effects included, and :math:`\Lambda` impulses of the conta
 
 For the arms :math:`\pi = \bar M q'` and :math:`F = \partial T/\partial q - \partial V/\partial q
 + Q = f + (C + C^T) q'`, with ``f`` the forces of the equations of motion and ``C`` the arm's
-matrix of Coriolis forces, for which :math:`\dot M = C + C^T`.  For the object, in world axes and
+matrix of Coriolis forces, for which :math:`\dot M = C + C^T`.  For an object, in world axes and
 with the inertia at the beginning of the step,
 
 .. math::
@@ -52,7 +52,7 @@ from multiarm.dynamics.equations import finite, solve_frictionless, update_kinem
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.status import CALLBACK_FAILED, NOT_CONVERGED, OK
 from multiarm.integration.step import METHOD_WORK, Step, open_step
-from multiarm.jit.kernels import cfunc, clear, copy, greatest, kernel
+from multiarm.jit.kernels import cfunc, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints2, floats_at, struct_at, view
 from multiarm.robots.terms import CoriolisCalls, open_matrix
@@ -60,17 +60,17 @@ from multiarm.spatial import write_chart_rate
 
 
 class VariationalWork(NamedTuple):
-    """A step's arrays, for velocities of V numbers, ``N`` contacts, ``a`` arms."""
+    """A step's arrays, for F objects, velocities of V numbers, ``N`` contacts, ``a`` arms."""
 
     # the arms' Coriolis matrices, see :class:`multiarm.robots.terms.Coriolis`
     coriolis_calls: CoriolisCalls
     coriolis: Ints2  # (a, 2)
-    # at the beginning of the step: configuration, constraint matrices, the object's inertia in
+    # at the beginning of the step: configuration, constraint matrices, the objects' inertias in
     # world axes, momenta (V,)
     begin: Floats1
-    W_o: Floats2  # (N, 6)
+    W_o: Floats2  # (N, 6 F)
     W: Floats3  # (a, d, m)
-    inertia: Floats2  # (3, 3)
+    inertia: Floats3  # (F, 3, 3)
     start: Floats1
     push: Floats1  # (V,), half the impulse of everything but the contacts
     xi: Floats1  # (V,), velocities over the step
@@ -78,7 +78,7 @@ class VariationalWork(NamedTuple):
     gap: Floats1  # (N,), rates that close the gaps at the end
     last: Floats2  # (2, V + N), unknowns and their correction in the iteration before
     momentum: Floats1  # (V,)
-    # the object's turn back over the step, and its angular momentum at the beginning
+    # an object's turn back over the step, and its angular momentum at the beginning
     turn: Floats1
     spin: Floats1
 
@@ -99,9 +99,9 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
         coriolis_calls=coriolis.calls,
         coriolis=coriolis.matrices,
         begin=np.zeros(layout.nq),
-        W_o=np.zeros((rows, 6)),
+        W_o=np.zeros((rows, layout.node)),
         W=np.zeros_like(data.work.W),
-        inertia=np.zeros((3, 3)),
+        inertia=np.zeros((layout.frames, 3, 3)),
         start=np.zeros(size),
         push=np.zeros(size),
         xi=np.zeros(size),
@@ -147,9 +147,11 @@ def begin_step(step, work, t, h):
     step.stage.evaluations += 1
     if status != OK:
         return status
-    for a in range(3):
-        for b in range(3):
-            work.inertia[a, b] = data.bodies.object_inertia[3 + a, 3 + b]
+    for o in range(work.inertia.shape[0]):
+        for a in range(3):
+            for b in range(3):
+                at = 6 * o + 3
+                work.inertia[o, a, b] = data.bodies.object_inertia[at + a, at + b]
     write_momenta(step.system, work.start)
     for k in range(work.W_o.shape[0]):
         copy(data.rows.W_o[k], work.W_o[k])
@@ -259,17 +261,9 @@ def midpoint_forces(step, work, h):
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)
     if status != OK:
         return status
-    inertia, w = data.bodies.object_inertia, data.state.twists[0][3:6]
     push, half = work.push, 0.5 * h
-    l0 = inertia[3, 3] * w[0] + inertia[3, 4] * w[1] + inertia[3, 5] * w[2]
-    l1 = inertia[4, 3] * w[0] + inertia[4, 4] * w[1] + inertia[4, 5] * w[2]
-    l2 = inertia[5, 3] * w[0] + inertia[5, 4] * w[1] + inertia[5, 5] * w[2]
-    for k in range(3):
-        push[k] = half * data.forces.f_o[k]
-    # the gyroscopic moment is part of the momentum here
-    push[3] = half * (data.forces.f_o[3] + w[1] * l2 - w[2] * l1)
-    push[4] = half * (data.forces.f_o[4] + w[2] * l0 - w[0] * l2)
-    push[5] = half * (data.forces.f_o[5] + w[0] * l1 - w[1] * l0)
+    for o in range(data.state.twists.shape[0]):
+        push_object(o, data, push, half)
     first_joint = chart_places(data).joints
     for i in range(data.bodies.pointers.shape[0]):
         d0, d = node.first_joint[i], node.first_joint[i + 1] - node.first_joint[i]
@@ -284,6 +278,27 @@ def midpoint_forces(step, work, h):
     return OK
 
 
+@inlined
+def push_object(o, data, push, half):
+    """Write half the impulse of everything but the contacts on one object."""
+    inertia, f_o, w, at = (
+        data.bodies.object_inertia,
+        data.forces.f_o,
+        data.state.twists[o][3:6],
+        6 * o,
+    )
+    u, v, s = at + 3, at + 4, at + 5
+    l0 = inertia[u, u] * w[0] + inertia[u, v] * w[1] + inertia[u, s] * w[2]
+    l1 = inertia[v, u] * w[0] + inertia[v, v] * w[1] + inertia[v, s] * w[2]
+    l2 = inertia[s, u] * w[0] + inertia[s, v] * w[1] + inertia[s, s] * w[2]
+    for k in range(at, u):
+        push[k] = half * f_o[k]
+    # the gyroscopic moment is part of the momentum here
+    push[u] = half * (f_o[u] + w[1] * l2 - w[2] * l1)
+    push[v] = half * (f_o[v] + w[2] * l0 - w[0] * l2)
+    push[s] = half * (f_o[s] + w[0] * l1 - w[1] * l0)
+
+
 @kernel
 def momentum_residual(step, work, h):
     """``p_0 + W_0 Lambda_0 + h F / 2 - pi`` into ``data.forces.f_o`` and ``data.forces.f_j``.
@@ -293,12 +308,14 @@ def momentum_residual(step, work, h):
     _, data, node = open_system(step.system)
     momentum, turn, spin = work.momentum, work.turn, work.spin
     write_momenta(step.system, momentum)
-    for a in range(3):
-        turn[a] = -h * work.xi[3 + a]
-        spin[a] = 0.0
-        for b in range(3):
-            spin[a] += work.inertia[a, b] * work.xi[3 + b]
-    write_chart_rate(turn, spin, momentum[3:6])
+    for o in range(work.inertia.shape[0]):
+        at = 6 * o + 3
+        for a in range(3):
+            turn[a] = -h * work.xi[at + a]
+            spin[a] = 0.0
+            for b in range(3):
+                spin[a] += work.inertia[o, a, b] * work.xi[at + b]
+        write_chart_rate(turn, spin, momentum[at : at + 3])
     for k in range(momentum.size):
         momentum[k] = work.start[k] + work.push[k] - momentum[k]
     first = chart_places(data).joints

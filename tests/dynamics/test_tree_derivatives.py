@@ -27,6 +27,7 @@ TIME = 0.3  # [s]
 MOVES = ("x", "y", "yaw")
 FAMILIES = (
     "several_tips", "moving_bases", "surroundings", "inner_loops", "mimic_joints", "floating_bases",
+    "several_objects",
 )  # fmt: skip
 # Roundings of evaluations over the displacement, 1e-14 / 1e-4, times the condition of constraints
 # of which some repeat others or whose links are light.
@@ -150,6 +151,8 @@ def test_springs_of_connections_have_the_derivatives_of_differences(family, tmp_
         ("mimic_joints", 1),
         ("floating_bases", 1),  # on the object
         ("floating_bases", 7),  # on the world
+        ("several_objects", 1),  # between two objects
+        ("objects_alone", 0),
     ],
 )
 def test_sliding_contacts_of_robots_are_differentiated_with_their_friction(family, seed, tmp_path):
