@@ -23,6 +23,7 @@ from multiarm.plots.run_figures import (
     object_pose,
     wrenches,
 )
+from multiarm.results.channels import object_paths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,8 +47,9 @@ __all__ = [
 
 def figures(trajectory: Trajectory) -> dict[str, Figure]:
     """All figures of a run by title, the motion first."""
+    several = len(object_paths(trajectory.channels)) > 1
     drawn = {
-        "Object": object_pose(trajectory),
+        "Objects" if several else "Object": object_pose(trajectory),
         "Joint positions": joint_positions(trajectory),
         "Joint torques": joint_torques(trajectory),
         "Joint limits": limit_use(trajectory),

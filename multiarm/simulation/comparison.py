@@ -291,8 +291,12 @@ def rotation_apart(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def object_poses(run: Trajectory) -> np.ndarray:
     """Poses of the F objects: position [m] and quaternion xyzw, shape (K, F, 7)."""
-    objects = run.objects.values()
-    return np.stack([np.hstack([o.position, o.quaternion_xyzw]) for o in objects], axis=1)
+    parts = "position", "quaternion_xyzw"
+    poses = [
+        np.hstack([run.channel(f"{path}/{part}") for part in parts])
+        for path in object_paths(run.channels).values()
+    ]
+    return np.stack(poses, axis=1)
 
 
 def pose_differences(poses: np.ndarray, others: np.ndarray) -> tuple[float, float]:

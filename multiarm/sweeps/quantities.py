@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from multiarm.errors import USER_FAULTS
+from multiarm.results.channels import object_paths
 from multiarm.results.limit_use import QUANTITIES as LIMITED
 from multiarm.results.limit_use import largest_shares
 from multiarm.scene import Pose
@@ -190,8 +191,8 @@ def _final(axis: int) -> Known:
 
 def _largest_of_objects(run: Trajectory, part: slice) -> float:
     """The largest length of a part of the objects' twists."""
-    twists = (motion.twist[:, part] for motion in run.objects.values())
-    return _largest(*(np.linalg.norm(twist, axis=1) for twist in twists))
+    twists = [run.channel(f"{path}/twist") for path in object_paths(run.channels).values()]
+    return _largest(*(np.linalg.norm(twist[:, part], axis=1) for twist in twists))
 
 
 def _share(limit: str) -> Known:
