@@ -50,7 +50,7 @@ def course_facts(figures: Mapping[str, Any], compilation: float) -> dict[str, st
 
 def motion_facts(figures: Mapping[str, Any]) -> dict[str, str]:
     """Where the objects are at the end of a run, and largest forces, from :func:`figures_of`."""
-    from multiarm.scene.values import of_surroundings
+    from multiarm.results.channels import is_floor
 
     poses = figures["final_poses"]
     rows = {
@@ -64,7 +64,7 @@ def motion_facts(figures: Mapping[str, Any]) -> dict[str, str]:
         if wrench is None and wrenches:
             rows[f"largest forces, {name}"] = f"{number(force)} N or N m at joints that are held"
             continue
-        of_robot = not isinstance(robots, Mapping) or name in robots or of_surroundings(name)
+        of_robot = not isinstance(robots, Mapping) or name in robots or is_floor(name)
         # of other connections on the second body, which is one of several objects, too
         where = " on the object" if of_robot and len(poses) == 1 else ""
         rows[f"largest forces, {name}"] = _forces(wrench, force, where)

@@ -24,7 +24,6 @@ import numpy as np
 
 from multiarm.errors import TrajectoryError
 from multiarm.results.contact_states import RECORDED_STATES
-from multiarm.scene.values import SURROUNDINGS
 
 CLOSED = "this trajectory was closed; load it from its file, or simulate again"
 """Message for reading a channel whose samples were released."""
@@ -32,6 +31,8 @@ Columns = dict[str, slice]
 """Channel -> its numbers in a row."""
 OBJECT, OBJECTS, ARMS, ENVIRONMENT, EFFECTS = "object", "objects", "arms", "environment", "effects"
 """Groups of channels; others, such as ``energy``, are of the whole run."""
+FLOOR = "floor"
+"""Owner of the contacts of an object with its surroundings; of several objects ``floor/beam``."""
 NAMES_OF_OBJECTS = "objects"
 """Entry of a result's metadata: the names of the objects, in the order of the scene."""
 # Quantities of a robot's joints.
@@ -216,9 +217,14 @@ def channels_of(channels: Mapping[str, Channel], quantity: str) -> dict[str, str
     for channel in of_quantity:
         group, name = channel.owner
         if group == ENVIRONMENT:
-            owner = f"{SURROUNDINGS}/{name}" if name else SURROUNDINGS
+            owner = f"{FLOOR}/{name}" if name else FLOOR
             names.setdefault(owner, channel.name)  # an arm may have this name
     return names
+
+
+def is_floor(owner: str) -> bool:
+    """Whether an owner of rows stands for contacts of an object with its surroundings."""
+    return owner.partition("/")[0] == FLOOR
 
 
 def environment_paths(channels: Mapping[str, Channel]) -> tuple[str, ...]:

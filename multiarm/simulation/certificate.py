@@ -51,12 +51,11 @@ from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.state import State
 from multiarm.errors import MultiarmError
 from multiarm.notation import Word, number
-from multiarm.results.channels import arm_channel, channels_of, object_paths
+from multiarm.results.channels import arm_channel, channels_of, is_floor, object_paths
 from multiarm.results.energy import largest_imbalance
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
-from multiarm.scene.values import of_surroundings
 from multiarm.simulation.comparison import (
     FORCE,
     OUTPUT_KINDS,
@@ -329,7 +328,7 @@ def _energy_check(
 def _work_on_gaps(run: Trajectory) -> float:
     """Bound of the work of contact forces on gaps that are not closed [J]."""
     owners = channels_of(run.channels, "contact_force")
-    forces = [name for owner, name in owners.items() if not of_surroundings(owner)]
+    forces = [name for owner, name in owners.items() if not is_floor(owner)]
     largest, gap, opened, before = 0.0, 0.0, 0.0, None
     for time, gaps, rates, *blocks in run.blocks(
         "time", "drift/position", "drift/velocity", *forces
