@@ -234,7 +234,7 @@ def scene_size(data: Data) -> float:
     levers = places[:, None] - arrays.state.poses[:, :3]
     levers = levers[_objects_of_rows(data.model)[~rows_of_joints(data.model)]]
     origins = fields_of(BodyMotion, arrays.bodies.links).origin
-    robots = [robot for robot, _ in data.model.backends.links]
+    robots = np.array([robot for robot, _ in data.model.backends.links], dtype=np.int64)
     reaches = origins - _places_of_bases(data)[robots]
     squares = [np.square(ways).sum(axis=1).max(initial=0.0) for ways in (levers, reaches)]
     gyrations = np.trace(constants.object_inertias, axis1=1, axis2=2) / constants.object_masses

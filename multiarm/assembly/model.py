@@ -185,7 +185,8 @@ def _levers(
             if body.robot:
                 robot = robots[body.robot]
                 levers[body.robot].append(robot.levers(frame[:3, 3], body.tip))
-    longest = np.concatenate([np.max(of_robot, axis=0) for of_robot in levers.values()])
+    largest = [np.max(of_robot, axis=0) for of_robot in levers.values()]
+    longest = np.concatenate([np.zeros(0), *largest])
     longest = np.where(longest > 0.0, longest, 1.0)
     return [longest[layout.joints_of_block(i)] for i in range(layout.block_count)]
 
@@ -232,7 +233,7 @@ def _circular(robots: Mapping[str, Robot]) -> np.ndarray:
     """``Constants.circular``."""
     bases = {name: np.zeros(robot.base_dof) for name, robot in robots.items()}
     parts = [np.append(bases[name], robot.circular) for name, robot in robots.items()]
-    return np.concatenate(parts).astype(np.int64)
+    return np.concatenate([[], *parts]).astype(np.int64)
 
 
 def _frame_constants(

@@ -133,6 +133,8 @@ class Layout:
     def __str__(self) -> str:
         count, noun = len(self.names), self.noun
         robots = f"{noun} {', '.join(self.names)}" if count <= NAMED_ARMS else f"{count} {noun}"
+        if not count:
+            robots = count_of(self.frames, "object")
         joints, contacts = self.tree_joint_count, self.contacts
         return f"{robots}; {count_of(joints, 'joint')}, {count_of(contacts, 'contact')}"
 

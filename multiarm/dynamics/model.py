@@ -113,7 +113,7 @@ class Model:
     @cached_property
     def base_origins(self) -> np.ndarray:
         """Where the robots stand, world axes, shape (n, 3) [m]."""
-        return np.array([robot.files.base[:3, 3] for robot in self.robots.values()])
+        return np.reshape([robot.files.base[:3, 3] for robot in self.robots.values()], (-1, 3))
 
     @property
     def calls_user(self) -> bool:

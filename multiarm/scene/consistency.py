@@ -263,9 +263,13 @@ def _check_objects(parts: ValidParts, findings: Findings) -> None:
 
 
 def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings) -> None:
-    if not known:
+    if not known and parts.written_objects != ("objects",):
         text = "a scene needs at least one arm, such as {left: {...}}, or a robot, below 'robots'"
         findings.add_fault(("arms",), text)
+        return
+    if not known and parts.joints == []:
+        text = "is empty; a scene without robots needs a joint between objects, or with the world"
+        findings.add_fault(("joints",), text)
         return
     for name in parts.robot_names or ():
         if name in (parts.arm_names or ()):

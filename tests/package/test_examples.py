@@ -301,6 +301,28 @@ def test_pads_of_a_linkage_press_as_virtual_work_says(printed):
 
 
 @pytest.mark.slow
+def test_a_peg_in_a_socket_feels_no_push_along_its_axis(printed):
+    text = printed("20_peg_and_socket.py")
+    ((depth,),) = figures("completed: the peg went# mm deeper", text)
+    assert 50.0 < depth < 180.0
+    ((across, along),) = figures("up to# N across the peg,# N along it", text)
+    assert across > 1.0 and along < 1e-10
+    ((work, product),) = figures("the push did# J; force times way is# J", text)
+    assert work == pytest.approx(product, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_stack_moves_as_one_body_and_its_weld_carries_the_upper_box(printed):
+    text = printed("21_stack_of_boxes.py")
+    ((rise,),) = figures("completed: the stack rose by# mm", text)
+    assert rise == pytest.approx(100.0, abs=3.0)
+    ((apart, turned),) = figures("are apart by# m, turned by#", text)
+    assert max(apart, turned) < 1e-8
+    ((carried, needed),) = figures(r"carries up to# N; m \(a - g\) is# N", text)
+    assert carried == pytest.approx(needed, abs=0.05) and carried > 6.0 * 9.81
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

@@ -345,6 +345,33 @@ def test_control_of_joints_is_for_any_number_of_objects(control):
     assert len(parse_scene(scene_with(control=control)).all_objects) == 2
 
 
+def test_objects_alone_make_a_scene():
+    half, mass, gravity = 0.5, 3.0, 9.81
+    rod = {"shape": {"box": [0.1, 0.1, 2 * half]}, "mass": mass}
+    level = {"xyz": [half, 0, -1.5], "rpy": [0, -np.pi / 2, 0]}
+    joints = [
+        {"between": ["post", "world"], "kind": "weld", "at_first": {"xyz": [0, 0, half]}},
+        {"between": ["rod", "post"], "kind": "revolute", "axis": [0, 1, 0], "at": {
+            "xyz": [0, 0, -1.0], "rpy": [0, -np.pi / 2, 0]}, "at_first": {"xyz": [0, 0, half]}},
+    ]  # fmt: skip
+    objects = {"post": {**rod, "pose": {"xyz": [0, 0, -half]}}, "rod": {**rod, "pose": level}}
+    scene = parse_scene({"gravity": [0, 0, -gravity], "objects": objects, "joints": joints})
+    system = ma.compile_system(scene)
+    assert "2 objects" in repr(system)
+    of_rod = ma.evaluate(system).object_accelerations["rod"]
+    # a rod on a hinge at its end, let go where it is level: I a = m g l
+    inertia = mass * (0.1**2 + (2 * half) ** 2) / 12.0 + mass * half**2
+    spin = mass * gravity * half / inertia
+    np.testing.assert_allclose(of_rod, [0, 0, -spin * half, 0, spin, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("parts", [{"joints": []}, {"objects": None, "object": BEAM}])
+def test_scenes_without_robots_need_objects_that_are_joined(parts):
+    joints = [{"between": ["beam", "world"], "kind": "ball"}]
+    with refused(SceneError):
+        parse_scene(scene_with(**{"arms": None, "joints": joints, **parts}))
+
+
 def test_what_is_for_one_object_says_so():
     with refused(SceneError, "a grasp"):
         parse_scene(TWO).one_object("a grasp")
