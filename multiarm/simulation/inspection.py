@@ -282,7 +282,9 @@ def count_freedom(data: Data) -> Freedom:
         objects=data.model.layout.frames,
         floating_bases=len(data.model.layout.floating_robots),
         constraints=matrix.shape[1],
-        couplings=sum(isinstance(record, JointRow) for record in data.model.records),
+        couplings=sum(
+            isinstance(record, JointRow) and record.leader >= 0 for record in data.model.records
+        ),
         wheels=sum(isinstance(record, WheelRow) for record in data.model.records),
         rank=rank,
         mobility=matrix.shape[0] - rank,
