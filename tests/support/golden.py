@@ -101,7 +101,8 @@ def cases() -> Iterator[Case]:
     """All cases; of most scenes two, with Pinocchio's and with compiled arms."""
     run = {"run": DEFAULT_RUN}
     for path in sorted(SCENES.glob("*.yaml")):
-        if ma.load_scene(path).robots:
+        scene = ma.load_scene(path)
+        if scene.robots or scene.objects:
             continue
         for arms in OTHER_ARMS:
             yield Case(f"example {path.stem} {arms}", path.name, arms, run)
