@@ -31,6 +31,7 @@ from multiarm.results.channels import (
 )
 from multiarm.results.sinks import Hdf5Sink, MemorySink
 from multiarm.results.trajectory import load_trajectory
+from multiarm.scene import parse_scene
 from multiarm.simulation.comparison import compare, object_poses, pose_differences
 from multiarm.studies.differences import Quantity, largest_differences
 from multiarm.sweeps.quantities import measure
@@ -303,3 +304,28 @@ def test_quantities_of_a_sweep_are_the_largest_over_the_objects():
     assert pose_differences(object_poses(run)[-1], object_poses(run)[0])[0] == pytest.approx(
         np.linalg.norm(way[-1] - way[0])
     )
+
+
+def test_the_final_error_is_that_of_the_object_that_a_path_leads():
+    goal = [0.1, 0.2, 0.3]
+    control = {
+        "kind": "object_impedance", "object": "plate", "path": [{"time": 1.0, "xyz": goal}],
+        "stiffness": {"translation": 100, "rotation": 10},
+        "damping": {"translation": 10, "rotation": 1},
+    }  # fmt: skip
+    scene = parse_scene(
+        {
+            "objects": {
+                "beam": {"shape": {"sphere": 0.1}, "mass": 1.0},
+                "plate": {"shape": {"sphere": 0.1}, "mass": 1.0},
+            },
+            "arms": {"left": {"robot": "textbook_6r", "tip": "tool"}},
+            "joints": [{"arm": "left", "object": "plate", "kind": "weld"}],
+            "control": control,
+        }
+    )
+    run = record_two(MemorySink()).of(scene)
+    run._scene = scene
+    numbers, fault = measure(["final_position_error"], run)
+    away = np.linalg.norm(run.objects["plate"].position[-1] - goal)
+    assert fault == "" and numbers["final_position_error"] == pytest.approx(away, rel=1e-12)
