@@ -21,6 +21,7 @@ from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
 from multiarm.geometry.records import Contact
 from multiarm.scene import JointSpec, Scene
 from multiarm.scene.faults import counted
+from multiarm.scene.joint_values import SOLVE
 from multiarm.scene.values import of_surroundings
 
 
@@ -131,13 +132,13 @@ def too_far(data: Data, scene: Scene, name: str, size: float, of_scene: bool) ->
 
 def _whether_a_posture_is_sought(scene: Scene, joint: JointSpec) -> str:
     """What to say of ``posture: solve`` where a joint of a robot is far from closed."""
-    robots = [scene.robots.get(body.robot) for body in (joint.first, joint.second)]
-    if any(robot is not None and robot.base.floats for robot in robots):
-        return "; no posture is sought, and 'posture: solve' not possible, while the base floats"
-    spec = robots[0] or scene.arms.get(joint.first.robot)
-    if spec is None or spec.posture is None or joint.at is None or joint.as_listed:
+    robot = scene.robots.get(joint.first.robot)
+    spec = robot or scene.arms.get(joint.first.robot)
+    if spec is None or spec.posture == SOLVE or joint.at is None or joint.as_listed:
         return ""
-    return "; or let `posture: solve` find a posture"
+    if robot is not None and robot.base.floats:  # it is not sought unasked
+        return "; or let `posture: solve` find a posture, with the base where it is written"
+    return "" if spec.posture is None else "; or let `posture: solve` find a posture"
 
 
 def cannot_close(data: Data, name: str, gaps: str, linkage: Linkage, end: Closing) -> list[str]:

@@ -132,9 +132,12 @@ def test_a_start_that_is_too_far_off_hears_whether_a_posture_can_be_sought():
             ma.compile_system(parse_scene(scene))
         return str(caught.value)
 
-    assert "'posture: solve' not possible, while the base floats" in refusal()
+    asked = "let `posture: solve` find a posture, with the base where it is written"
+    assert asked in refusal()
     del scene["robots"]["sat"]["posture"]
-    assert "'posture: solve' not possible, while the base floats" in refusal()
+    assert asked in refusal()
+    scene["robots"]["sat"]["posture"] = "solve"
+    assert "find a posture" not in refusal()
     scene["robots"]["sat"] = {"robot": "ur5", "tips": {"hand": "tool0"}, "posture": [0.1] * 6}
     assert "let `posture: solve` find a posture" in refusal()
     system = ma.compile_system(parse_scene(scene), assemble=False)
