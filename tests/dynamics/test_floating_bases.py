@@ -9,7 +9,8 @@ import pinocchio as pin
 import pytest
 from mechanics import difference
 from scipy.spatial.transform import Rotation
-from tree_models import TreeState, constant_torques, read_tree_scene, start_of
+from tree_models import constant_torques, read_tree_scene, start_of
+from tree_motion import as_tree_state
 from tree_oracle import Motions, evaluation_errors, least_change, solve_minimal, worst_gap
 from tree_scenes import (
     DOWN,
@@ -318,14 +319,7 @@ def test_a_posture_is_found_from_where_the_base_is_written():
         Rotation.from_quat(base.quaternion_xyzw) * Rotation.from_euler("xyz", written["rpy"]).inv()
     )
     assert turn.magnitude() < 1e-9
-    bases = {
-        "sat": {part: getattr(base, part) for part in ("position", "quaternion_xyzw", "twist")}
-    }
-    state = TreeState(
-        start.object_position, start.object_quaternion_xyzw, start.object_twist,
-        dict(start.joint_positions), dict(start.joint_velocities), bases,
-    )  # fmt: skip
-    assert worst_gap(trees, state) < 1e-9
+    assert worst_gap(trees, as_tree_state(start)) < 1e-9
 
 
 @pytest.mark.slow

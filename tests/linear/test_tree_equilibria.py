@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from mechanics import difference
-from tree_models import TreeState, read_tree_scene
+from tree_models import read_tree_scene
+from tree_motion import as_tree_state
 from tree_oracle import solve_minimal
 from tree_scenes import DOWN, cart_scene, hanging_scene, satellite_scene, turned_gripper
 
@@ -71,15 +72,7 @@ def test_a_robot_that_hangs_from_the_world_comes_to_rest_as_the_dense_reference_
     state = found.state
     turned = system.initial_state().displacement_to(state)[9:12]
     assert np.linalg.norm(turned) > 0.1
-    bases = {
-        name: {part: getattr(base, part) for part in ("position", "quaternion_xyzw", "twist")}
-        for name, base in state.bases.items()
-    }
-    at = TreeState(
-        state.object_position, state.object_quaternion_xyzw, state.object_twist,
-        dict(state.joint_positions), dict(state.joint_velocities), bases,
-    )  # fmt: skip
-    reference = solve_minimal(trees, at, dict(found.torques))
+    reference = solve_minimal(trees, as_tree_state(state), dict(found.torques))
     for accelerations in (reference.base_accelerations, reference.joint_accelerations):
         assert np.abs(accelerations["sat"]).max() < 1e-9
     assert np.abs(reference.object_acceleration).max() < 1e-9

@@ -149,6 +149,26 @@ def tree_state(run: ma.Trajectory, k: int) -> TreeState:
     )
 
 
+def as_tree_state(state: ma.State) -> TreeState:
+    """A state of the package with one object."""
+    held = {
+        "position": state.object_position,
+        "quaternion_xyzw": state.object_quaternion_xyzw,
+        "twist": state.object_twist,
+    }
+    bases = {
+        name: {
+            "position": base.position,
+            "quaternion_xyzw": base.quaternion_xyzw,
+            "twist": base.twist,
+        }
+        for name, base in state.bases.items()
+    }
+    return TreeState(
+        {OBJECT: held}, dict(state.joint_positions), dict(state.joint_velocities), bases
+    )
+
+
 def _sampled(motions: Any, k: int) -> dict[str, dict[str, np.ndarray]]:
     """Sample ``k`` of the floating frames of a trajectory, as a :class:`TreeState` has them."""
     return {
