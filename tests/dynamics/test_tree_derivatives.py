@@ -27,7 +27,7 @@ TIME = 0.3  # [s]
 MOVES = ("x", "y", "yaw")
 FAMILIES = (
     "several_tips", "moving_bases", "surroundings", "inner_loops", "mimic_joints", "floating_bases",
-    "several_objects",
+    "several_objects", "objects_alone",
 )  # fmt: skip
 # Roundings of evaluations over the displacement, 1e-14 / 1e-4, times the condition of constraints
 # of which some repeat others or whose links are light.

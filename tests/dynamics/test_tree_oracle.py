@@ -93,7 +93,7 @@ def test_evaluations_agree(family, solver, arms, drawn):
         scene, trees, state, torques = drawn(family, seed)
         scene = {**scene, "run": {**scene.get("run", {}), "solver": solver}}
         system = ma.compile_system(parse_scene(scene), arms=arms)
-        assert set(system.arm_terms.values()) == {arms}
+        assert all(backend == arms for backend in system.arm_terms.values())
         evaluation = ma.evaluate(system)
         solution = solve_minimal(trees, state, torques)
         about = centres_of_seconds(trees, state)

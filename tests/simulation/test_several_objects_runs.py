@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from object_scenes import (
+    DOWN,
     GRAVITY,
     HIT,
     PENDULUM,
@@ -19,6 +20,7 @@ from object_scenes import (
     hinged_plates,
     hit_impulse,
     load_on_sled,
+    objects_scene,
     peg_acceleration,
     peg_in_socket,
     pendulum_accelerations,
@@ -276,6 +278,38 @@ def test_a_load_that_falls_on_a_sled_takes_it_along():
     np.testing.assert_allclose(m[0] * load[:, 0] + m[1] * sled[:, 0], m[0] * speed, atol=1e-9)
     np.testing.assert_allclose(load[-1], [speed * m[0] / sum(m), 0, 0, 0, 0, 0], atol=1e-8)
     np.testing.assert_allclose(sled[-1], load[-1], atol=1e-8)
+
+
+def test_a_stack_slides_on_the_floor_and_comes_to_rest_one_after_the_other():
+    """Coulomb's law for both: the lower one is braked by the floor and driven by the upper one."""
+    low, high, speed, mu, ground = 2.0, 1.0, 1.0, 0.4, 0.5
+    twist = [speed, 0.0, 0.0, 0.0, 0.0, 0.0]
+    objects = {
+        name: {"shape": {"box": size}, "mass": mass, "pose": {"xyz": [0, 0, z]}, "twist": twist}
+        for name, mass, size, z in (
+            ("low", low, [0.4, 0.4, 0.2], 0.1), ("high", high, [0.3, 0.3, 0.1], 0.25),
+        )
+    }  # fmt: skip
+    feet = [
+        {
+            "between": ["high", "low"], "name": f"foot_{k}", "kind": "point_on_plane", "mu": mu,
+            "at": {"xyz": [0, 0, 0.1]}, "at_first": {"xyz": [x, y, -0.05]},
+        }
+        for k, (x, y) in enumerate([(0.1, 0.1), (0.1, -0.1), (-0.1, 0.1), (-0.1, -0.1)])
+    ]  # fmt: skip
+    effects = {"unilateral_contacts": {"start": "as_written"}, "floor": {"mu": ground}}
+    run = run_of(objects_scene(objects, feet, gravity=DOWN, effects=effects), 0.3, accuracy=1e-8)
+    braking = {
+        "low": (ground * (low + high) - mu * high) / low * GRAVITY,
+        "high": mu * GRAVITY,
+    }
+    stops = sorted({round(event["time"], 8) for event in run.events if event["kind"] == "sticks"})
+    np.testing.assert_allclose(stops, [speed / braking[name] for name in braking], atol=2e-8)
+    for name, slower in braking.items():
+        position, velocity = run.objects[name].position, run.objects[name].twist[:, 0]
+        assert position[-1, 0] == pytest.approx(0.5 * speed**2 / slower, abs=1e-8)
+        np.testing.assert_allclose(velocity, np.maximum(speed - slower * run.time, 0.0), atol=1e-7)
+        np.testing.assert_allclose(np.ptp(position[:, 1:], axis=0), 0.0, atol=1e-9)
 
 
 # --- steppers and threads ------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Scenes of several objects whose motion is known: pendulums, hinges, slides, friction, impacts.
 
-Every scene is a plain table, as a file has it; its only robot stands aside.
+Every scene is a plain table, as a file has it; no robot takes part.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from event_scenes import chain
 
 DOWN = [0.0, 0.0, -9.81]
 GRAVITY = 9.81
@@ -19,9 +18,7 @@ def objects_scene(
     objects: dict[str, dict[str, Any]], joints: list[dict[str, Any]], **more: Any
 ) -> dict[str, Any]:
     """A scene of these objects without gravity, if none is written."""
-    aside = {"urdf": chain("x"), "tips": {"tip": "tip"}}
-    parts = {"objects": objects, "robots": {"aside": aside}, "joints": joints}
-    return {"name": "objects", "gravity": None, **parts, **more}
+    return {"name": "objects", "gravity": None, "objects": objects, "joints": joints, **more}
 
 
 def body(mass: float, inertia: list[float], xyz: Any, **more: Any) -> dict[str, Any]:

@@ -321,7 +321,8 @@ def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
             q[robot.joints.index(mimic.joint)] = mimic.multiplier * leader + mimic.offset
         robot_tables(scene)[name]["posture"] = q.tolist()
         torques[name] = rng.uniform(-3.0, 3.0, q.size).tolist()
-    scene["control"] = {"kind": "constant", "torques": torques}
+    if torques:
+        scene["control"] = {"kind": "constant", "torques": torques}
 
 
 def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | None:
@@ -576,15 +577,15 @@ def several_objects(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
 
 
 def objects_alone(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
-    """Two to four objects that no robot holds; one robot stands aside, free or at the world."""
+    """Two to four objects that no robot holds; a robot may stand aside, held by the world."""
     names = list(OBJECTS[: int(rng.integers(2, 5))])
-    aside = tree_robot(rng, folder / "aside.urdf", 1)
-    robots = {"aside": _floating(rng, aside) if rng.random() < 0.5 else aside}
-    joints = joints_of_objects(rng, names)
-    (tip,) = holds(robots)
-    joints.append({"between": [tip, WORLD], **random_kind(rng, most_rows=3)})
-    objects = {name: _object(rng) for name in names}
-    return {"objects": objects, "robots": robots, "joints": joints}
+    scene: dict[str, Any] = {"joints": joints_of_objects(rng, names)}
+    if rng.random() < 0.6:
+        aside = tree_robot(rng, folder / "aside.urdf", 1)
+        scene["robots"] = {"aside": _floating(rng, aside) if rng.random() < 0.5 else aside}
+        (tip,) = holds(scene["robots"])
+        scene["joints"].append({"between": [tip, WORLD], **random_kind(rng, most_rows=3)})
+    return {"objects": {name: _object(rng) for name in names}, **scene}
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
