@@ -86,6 +86,7 @@ from multiarm.jit.vectors import (
     vec,
 )
 from multiarm.robots.chain import (
+    JOINT_WIDTH,
     ChainJoint,
     add_pair,
     add_scaled_pair,
@@ -172,12 +173,12 @@ class TreeLinks(NamedTuple):
 
 def tree_links(robots: Sequence[TreeStructure], gravity: np.ndarray) -> TreeLinks:
     """The joints and links of some robots."""
-    floats = np.array([robot.base_floats for robot in robots])
+    floats = np.array([robot.base_floats for robot in robots], dtype=bool)
     return TreeLinks(
         np.cumsum([0, *(robot.dof for robot in robots)]).astype(np.int64),
-        np.concatenate([_parents_of_numbers(robot) for robot in robots]),
-        np.concatenate([_joints_of_numbers(robot) for robot in robots]),
-        np.array([robot.translations[0] for robot in robots]),
+        np.concatenate([np.zeros(0, dtype=np.int64), *map(_parents_of_numbers, robots)]),
+        np.concatenate([np.zeros((0, JOINT_WIDTH)), *map(_joints_of_numbers, robots)]),
+        np.reshape([robot.translations[0] for robot in robots], (-1, 3)),
         np.where(floats, np.cumsum(floats) - 1, -1),
         np.array(gravity, dtype=float),
     )
