@@ -150,23 +150,19 @@ def tree_state(run: ma.Trajectory, k: int) -> TreeState:
 
 
 def as_tree_state(state: ma.State) -> TreeState:
-    """A state of the package with one object."""
-    held = {
-        "position": state.object_position,
-        "quaternion_xyzw": state.object_quaternion_xyzw,
-        "twist": state.object_twist,
-    }
-    bases = {
-        name: {
-            "position": base.position,
-            "quaternion_xyzw": base.quaternion_xyzw,
-            "twist": base.twist,
+    """A state of the package."""
+    objects, bases = (
+        {
+            name: {
+                "position": motion.position,
+                "quaternion_xyzw": motion.quaternion_xyzw,
+                "twist": motion.twist,
+            }
+            for name, motion in frames.items()
         }
-        for name, base in state.bases.items()
-    }
-    return TreeState(
-        {OBJECT: held}, dict(state.joint_positions), dict(state.joint_velocities), bases
+        for frames in (state.objects, state.bases)
     )
+    return TreeState(objects, dict(state.joint_positions), dict(state.joint_velocities), bases)
 
 
 def _sampled(motions: Any, k: int) -> dict[str, dict[str, np.ndarray]]:
