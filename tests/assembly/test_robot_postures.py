@@ -64,7 +64,7 @@ class Tree:
                 "written": np.zeros(len(self.limits)),
                 "base": np.eye(4),
                 "base_joints": self.base_joints,
-                "body": FAR_OFF,
+                "bodies": [FAR_OFF],
                 **more,
             }
         )
