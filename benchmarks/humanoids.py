@@ -100,7 +100,7 @@ class PinocchioHumanoid:
         plant = system.model.constants
         self.model.gravity.linear = plant.gravity
         box = self.model.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "box")
-        inertia = pin.Inertia(float(plant.object_mass), np.zeros(3), plant.object_inertia)
+        inertia = pin.Inertia(plant.object_masses[0], np.zeros(3), plant.object_inertias[0])
         self.model.appendBodyToJoint(box, inertia, pin.SE3.Identity())
         assert tuple(self.model.names)[2:-1] == system.arms["g1"].joint_names
         self.q, self.v = self._state(state)
