@@ -385,7 +385,7 @@ class Layout:
     def driven_joints(self) -> np.ndarray:
         """Numbers among all joints of those that may have drives: without floating bases."""
         every = [np.r_[self.tree_joints(i)] for i in range(len(self.names))]
-        return np.concatenate(every)
+        return np.concatenate([np.zeros(0, dtype=np.int64), *every])
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``owner -> vector[..., its contacts]``, without the surroundings."""

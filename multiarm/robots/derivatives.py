@@ -172,7 +172,7 @@ class TreeLinks(NamedTuple):
 
 
 def tree_links(robots: Sequence[TreeStructure], gravity: np.ndarray) -> TreeLinks:
-    """The joints and links of some robots."""
+    """The joints and links of some robots, which may be none."""
     floats = np.array([robot.base_floats for robot in robots], dtype=bool)
     return TreeLinks(
         np.cumsum([0, *(robot.dof for robot in robots)]).astype(np.int64),
