@@ -18,7 +18,7 @@ from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import wrench_rows
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
-from multiarm.geometry.records import Contact
+from multiarm.geometry.records import SURFACE_ON_OBJECT, Contact
 from multiarm.scene import JointSpec, Scene
 from multiarm.scene.faults import counted
 from multiarm.scene.joint_values import SOLVE
@@ -28,16 +28,21 @@ from multiarm.scene.values import of_surroundings
 def inside(data: Data, constraint: Constraint, depth: float) -> str:
     """The fault of a contact or joint that is beyond what it may reach, by ``depth`` [m, rad]."""
     if of_surroundings(constraint.owner):
+        _, _, name = constraint.owner.partition("/")
+        body, key = (f"object '{name}'", f"objects.{name}") if name else ("the object", "object")
         return (
-            f"at the start '{constraint.name}' of the object is below the floor by {depth:.3g} m; "
-            "correct 'object.pose', or the surfaces"
+            f"at the start '{constraint.name}' of {body} is below the floor by {depth:.3g} m; "
+            f"correct '{key}.pose', or the surfaces"
         )
     if constraint.kind != LIMIT:
         where = f"'{constraint.owner}/{constraint.name}' is inside the arm's surface"
         remedy = "the posture"
-        if not is_tip_of_arm(data.model.connections[constraint.owner]):
+        pair, record = data.model.connections[constraint.owner], data.model.records[constraint.row]
+        if not is_tip_of_arm(pair):
+            assert isinstance(record, Contact), "what has a surface is a contact"
+            carrier = pair.second if record.surface_body == SURFACE_ON_OBJECT else pair.first
             place = f"'{constraint.owner}/{constraint.name}'"
-            where = f"{place} is inside the surface of the first body"
+            where, remedy = f"{place} is inside the surface of {carrier}", "the poses"
         return f"at the start {where} by {depth:.3g} m; correct {remedy}, or the surfaces"
     first = data.model.layout.first_joint[data.model.arm_names.index(constraint.owner)]
     limit = data.model.records[constraint.row]

@@ -109,10 +109,15 @@ def _joints_off_the_object(system: System) -> list[str]:
         where, remedy = place(("joints", place_of_joint)), "'at'"
         if joint.at is None:
             remedy = "the posture or the base, since without 'at' the joint is where the tip is"
+            if pair.first.is_object:
+                remedy = f"the pose of either object, or 'at', the joint's place on '{pair.second}'"
         there = ", ".join(f"{x:.3g}" for x in nearest)
+        of_object = "the object's shape"
+        if len(system.scene.all_objects) > 1:
+            of_object = f"the shape of '{pair.second}'"
         warnings.append(
-            f"{where}: {joint_of(system.model, joint.connection)} is {distance:.3g} m off the "
-            f"object's shape, whose nearest point is [{there}] in the object's frame; correct "
+            f"{where}: {joint_of(system.model, joint.connection)} is {distance:.3g} m off "
+            f"{of_object}, whose nearest point is [{there}] in the object's frame; correct "
             f"{remedy}, or leave it if the object has a handle there"
         )
     return warnings

@@ -43,9 +43,8 @@ from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.singular import undetermined_parts
 from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
-from multiarm.dynamics.state import State
+from multiarm.dynamics.state import State, only_object
 from multiarm.dynamics.variables import Check
-from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, tangent_rows
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
@@ -232,7 +231,7 @@ class Evaluation:
         forces = [np.max(np.abs(force), initial=0.0) for force in self.contact_forces.values()]
         return (
             f"Evaluation(time={self.time:g}, rank={self.rank}, forces up to "
-            f"{max(totals, default=0.0):.3g} N of an arm, {max(forces, default=0.0):.3g} N at one "
+            f"{max(totals, default=0.0):.3g} N of a joint, {max(forces, default=0.0):.3g} N at one "
             f"contact,\n  residuals: arm {left.arm:.2g}, object {left.object:.2g}, "
             f"constraint {left.constraint:.2g})"
         )
@@ -261,13 +260,7 @@ class Evaluation:
         ModelError
             Where there are several.
         """
-        if len(self.object_accelerations) > 1:
-            name = next(iter(self.object_accelerations))
-            raise ModelError(
-                f"there are {len(self.object_accelerations)} objects; read "
-                f"`object_accelerations[{name!r}]`"
-            )
-        return next(iter(self.object_accelerations.values()))
+        return only_object("object_accelerations", self.object_accelerations)
 
     @property
     def accelerations(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from multiarm.dynamics.evaluation import Evaluation, rows_by_owner
 from multiarm.dynamics.layout import STATE, Layout
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
+from multiarm.dynamics.state import only_object
 from multiarm.errors import ModelError
 from multiarm.notation import count_of
 
@@ -285,8 +286,21 @@ class Derivatives:
 
     @property
     def object_acceleration(self) -> Sensitivity:
-        """Of the object's acceleration, six rows."""
-        return self._sensitivity(self.matrix[self.rows["object_acceleration"]])
+        """Of the object's acceleration, where there is one, six rows.
+
+        Raises
+        ------
+        ModelError
+            Where there are several.
+        """
+        return only_object("object_accelerations", self.object_accelerations)
+
+    @cached_property
+    def object_accelerations(self) -> Mapping[str, Sensitivity]:
+        """Of the accelerations of the objects, by object, six rows each."""
+        matrix = self.matrix[self.rows["object_acceleration"]]
+        blocks = (matrix[6 * o : 6 * o + 6] for o in range(self.layout.frames))
+        return dict(zip(self.layout.objects, map(self._sensitivity, blocks), strict=True))
 
     @cached_property
     def joint_accelerations(self) -> Mapping[str, Sensitivity]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from multiarm.notation import count_of
 from multiarm.public import public_names
 from multiarm.scene.faults import counted, shown, unknown
 
+OfObject = TypeVar("OfObject")
 FRAME_PARTS = ("position", "quaternion_xyzw", "twist")
 """What is given of an object or a floating base."""
 
@@ -139,13 +140,24 @@ class State:
     @property
     def _only_object(self) -> FrameMotion:
         """The motion of the object, where there is one."""
-        objects = self.objects
-        if len(objects) > 1:
-            raise ModelError(
-                f"there are {len(objects)} objects, {', '.join(objects)}; read "
-                f"`objects[{self.layout.objects[0]!r}].position` and the like"
-            )
-        return next(iter(objects.values()))
+        return only_object("objects", self.objects)
+
+
+def only_object(name: str, by_object: Mapping[str, OfObject]) -> OfObject:
+    """What the attribute ``name`` has of the object, where there is one.
+
+    Raises
+    ------
+    ModelError
+        Where there are several.
+    """
+    if len(by_object) > 1:
+        first = next(iter(by_object))
+        raise ModelError(
+            f"there are {len(by_object)} objects, {', '.join(by_object)}; read "
+            f"`{name}[{first!r}]` and the like"
+        )
+    return next(iter(by_object.values()))
 
 
 def require_same_joints(state: State, layout: Layout) -> None:

@@ -380,6 +380,13 @@ class System:
             quaternion; ``object_...`` where there are several objects.
         """
         state = self.initial_state()
+        of_one = object_position, object_quaternion_xyzw, object_twist
+        if len(state.objects) > 1 and any(given is not None for given in of_one):
+            first = next(iter(state.objects))
+            raise ModelError(
+                f"there are {len(state.objects)} objects, {', '.join(state.objects)}; give them by "
+                f"name, such as objects={{{first!r}: {{'position': 3 numbers [m]}}}}"
+            )
         fill_frames("objects", state.objects, {} if objects is None else objects)
         if object_position is not None:
             state.object_position[:] = checked_vector("object_position", object_position, 3)
