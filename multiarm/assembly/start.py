@@ -268,7 +268,7 @@ def check_unilateral(data: Data, start: State) -> None:
 def _close(data: Data, name: str, gaps: dict[str, float], limits: np.ndarray, size: float) -> bool:
     """Close the gaps of the state in the data; returns whether the object was held."""
     tolerance = projection_tolerance(data, size)
-    if max(gaps.values()) <= tolerance:
+    if max(gaps.values(), default=0.0) <= tolerance:
         return True
     linkage = Linkage(data, list(range(data.model.layout.block_count)), True, limits)
     begin, gaps_in_words = linkage.posture(), listed_gaps(data)
@@ -379,7 +379,7 @@ def _close_rates(data: Data, size: float) -> float:
     for _ in range(3):
         if not np.max(np.abs(data.contact_rows.gap_rate), initial=0.0) > closed:
             break
-        A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 + n)
+        A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 F + n)
         _, s, Vt = np.linalg.svd(A, full_matrices=False)
         Vt = Vt[s > 1e-10 * s[0]]
         taken = Vt @ (place.factor.T @ v)

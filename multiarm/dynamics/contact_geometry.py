@@ -164,7 +164,7 @@ def contact_terms(data: Evaluated) -> dict[str, ContactTerms]:
 
 
 def constraint_matrix(data: Evaluated) -> np.ndarray:
-    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 + n, N).
+    """Stacked constraint matrix ``[W_o; W]`` at the kinematics in the data, (6 F + n, N).
 
     It is scaled so that its singular values can be compared: joint and object coordinates by the
     square root of their inertia, contacts to unit length.

@@ -39,14 +39,14 @@ of the law's torques to ``data.slopes.torque`` (n, columns), by the columns of
 
     ControlLaw(pull, Spring(stiffness), differentiate_pull)
 
-*Multipliers.*  A law that distributes a wrench w over the arms couples them by six Lagrange
-multipliers s alone, those of the wrench balance :math:`F_s = \sum_i r_i - w = 0`: the torques of an
-arm, and its part :math:`r_i` of the wrench, are functions of its own state, the object's, and of s.
-(Contact forces of least norm with :math:`W_o \lambda = w` are :math:`\lambda = W_o^T s`, so that
-:math:`r_i = W_{oi} W_{oi}^T s`.)  The last law of a control that is ``CARRYING``
+*Multipliers.*  A law that distributes wrenches w over the arms couples them by Lagrange multipliers
+s alone, six an object, those of the wrench balance :math:`F_s = \sum_i r_i - w = 0`: the torques of
+an arm, and its part :math:`r_i` of the wrenches, are functions of its own state, the objects', and
+of s.  (Contact forces of least norm with :math:`W_o \lambda = w` are :math:`\lambda = W_o^T s`, so
+that :math:`r_i = W_{oi} W_{oi}^T s`.)  The last law of a control that is ``CARRYING``
 (:class:`multiarm.control.program.ControlProgram`) states its ``share_derivative``: this adds the
 derivatives of its torques at fixed s, and those by s, to ``data.slopes.torque``, and the
-derivatives of :math:`F_s` to ``data.slopes.balance`` (6, columns).
+derivatives of :math:`F_s` to ``data.slopes.balance`` (6 F, columns).
 
 *Its work*, where it has any, is a ``NamedTuple`` of arrays that it writes.  Each
 :class:`multiarm.dynamics.data.Data` has its own, made by the classmethod ``of(data)``; they follow

@@ -180,7 +180,7 @@ class _Equations:
         self._update()
 
     def solve_by_blocks(self, matrix: np.ndarray) -> bool:
-        """Write ``dy``, shape (6 + n + N, columns), block by block; False where that is singular.
+        """Write ``dy``, shape (6 F + n + N, columns), block by block; False where that is singular.
 
         It takes the place of the derivatives of F, which are restored where it fails.
         """

@@ -37,6 +37,7 @@ from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import TWIST, Layout
+from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
@@ -79,9 +80,9 @@ def residuals_of(
     force: np.ndarray,
     c: np.ndarray,
 ) -> Residuals:
-    """Residuals of accelerations (6 + n,) and contact forces (N,) at the kinematics in the data.
+    """Residuals of accelerations (6 F + n,) and contact forces (N,) at the kinematics in the data.
 
-    ``generalised_forces`` (6 + n,) and ``c`` (N,) are the right-hand sides.
+    ``generalised_forces`` (6 F + n,) and ``c`` (N,) are the right-hand sides.
     """
     write_residuals(data.struct, acceleration, generalised_forces, force, c)
     return _residuals(data.arrays.check)
@@ -399,7 +400,13 @@ class Evaluation:
         One row a contact, connection after connection, named ``arm/contact``.  ``form`` is
         ``orthonormal``, ``nonnegative`` or ``echelon``; see
         :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
+
+        Raises
+        ------
+        ModelError
+            Where there are several objects.
         """
+        require_one_object(self._held.model, "internal forces are those that do not move one")
         contacts = self._held.model.contacts
         names = [
             f"{name}/{contacts[name][row].name}"
@@ -416,7 +423,13 @@ class Evaluation:
         Friction is left out, and so are couplings of joints.  ``internal`` is the basis of the
         coordinates, orthonormal when left out.  With ``length``, forces are measured in newtons and
         couples over this lever arm [m]; else multipliers as they are.
+
+        Raises
+        ------
+        ModelError
+            Where there are several objects.
         """
+        require_one_object(self._held.model, "forces are split by what they do to one")
         internal = internal or self.internal_forces()
         forces = [self._joint_forces[name][rows] for name, rows in self._holding.items()]
         parts = decompose(self.W_o, np.concatenate(forces), internal, length)
@@ -438,7 +451,13 @@ class Evaluation:
         """``W_o`` of all contacts of the joints with the object, (6, N).
 
         Of a joint between the object and the world, whose forces act on the world, their opposite.
+
+        Raises
+        ------
+        ModelError
+            Where there are several objects.
         """
+        require_one_object(self._held.model, "`contact_terms` has the W_o of each joint")
         connections, parts = self._held.model.connections, []
         for name, rows in self._holding.items():
             terms = self.contact_terms[name]

@@ -135,7 +135,8 @@ def applied_derivatives(data: Data, closed_loop: bool) -> np.ndarray | None:
     """Derivatives of what control and effects add to the forces, at the state in the data.
 
     Of generalised forces and rates of effects' states (e), by the columns of the state
-    (:mod:`multiarm.dynamics.layout`) and effects' states, shape (6 + n + e, 12 + 2 n + e); None
+    (:mod:`multiarm.dynamics.layout`) and effects' states, shape (6 F + n + e, 12 F + 2 n + e);
+    None
     where nothing depends on these.  Without ``closed_loop`` the control's torques are held, and
     drives with states follow these; with it, sampled control is taken as continuous.
     """

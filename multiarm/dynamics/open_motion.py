@@ -48,7 +48,7 @@ from multiarm.jit.kernels import allocating, clear
 def solve_open_motion(struct, equations, of_friction, matrix):
     """Solve for ``dy`` where friction leaves the motion open; returns a status.
 
-    ``matrix`` (6 + n + N, columns) is written.  ``equations, of_friction`` are the structs of
+    ``matrix`` (6 F + n + N, columns) is written.  ``equations, of_friction`` are the structs of
     :func:`multiarm.dynamics.sliding_derivatives.add_friction`, after which it is called; their
     derivatives are used up.  The result is ``SINGULAR`` where the rank of the equations changes.
     """

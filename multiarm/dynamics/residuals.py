@@ -36,8 +36,8 @@ def write_residuals(
 ):
     """Write the largest residuals of blocks, object and constraints into ``data.check``.
 
-    Of accelerations (6 + n,) and contact forces (N,), with the right-hand sides
-    ``generalised_forces`` (6 + n,) and ``c`` (N,).
+    Of accelerations (6 F + n,) and contact forces (N,), with the right-hand sides
+    ``generalised_forces`` (6 F + n,) and ``c`` (N,).
     """
     _, data, work = open_system(struct)
     first = acceleration.size - data.state.joint_rates.size

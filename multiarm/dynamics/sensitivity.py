@@ -89,12 +89,12 @@ class Sensitivity:
 
     @property
     def d_object_pose(self) -> np.ndarray:
-        """By a shift [m] and a turn [rad] of the object, world axes, shape (m, 6)."""
+        """By a shift [m] and a turn [rad] of each object, world axes, shape (m, 6 F)."""
         return self._block("object_pose")
 
     @property
     def d_object_twist(self) -> np.ndarray:
-        """By the object's twist, shape (m, 6)."""
+        """By the objects' twists, shape (m, 6 F)."""
         return self._block("object_twist")
 
     @property
@@ -181,18 +181,18 @@ class Sensitivity:
 class Motions(NamedTuple):
     """The inertia of the system, and the derivatives of its gaps.
 
-    Displacements and velocities have ``6 + n`` numbers: of the object (world axes), of the joints.
+    Displacements and velocities have ``6 F + n`` numbers: of objects (world axes), of joints.
 
     Attributes
     ----------
     layout : Layout
-    inertia : ndarray, shape (6 + n, 6 + n)
+    inertia : ndarray, shape (6 F + n, 6 F + n)
         Kinetic energy is half its square form of the velocities.
     closed : bool ndarray, shape (N,)
         Rows whose gaps joints keep closed; rolling rows have no gap.
-    rates : ndarray, shape (N, 6 + n)
+    rates : ndarray, shape (N, 6 F + n)
         Of the rates of all N rows, by the velocities; of their gaps, by a displacement.
-    rates_by_position : ndarray, shape (N, 6 + n)
+    rates_by_position : ndarray, shape (N, 6 F + n)
         Of these rates, by a displacement.
     independent : bool
         Whether no row repeats others.
@@ -207,12 +207,12 @@ class Motions(NamedTuple):
 
     @property
     def gaps(self) -> np.ndarray:
-        """Derivatives of the K gaps that joints keep closed, by a displacement, (K, 6 + n)."""
+        """Derivatives of the K gaps that joints keep closed, by a displacement, (K, 6 F + n)."""
         return self.rates[self.closed]
 
     @property
     def constraint(self) -> np.ndarray:
-        """Derivatives of gaps and gap rates by displacements and velocities, (K + N, 12 + 2 n).
+        """Derivatives of gaps and gap rates by displacements and velocities, (K + N, 12 F + 2 n).
 
         In the order of the columns of :class:`Derivatives`.
         """
@@ -224,7 +224,7 @@ class Motions(NamedTuple):
         return matrix
 
     def admissible(self) -> np.ndarray:
-        """Projector on displacements and velocities that keep gaps and gap rates, (12 + 2 n,) * 2.
+        """Projector on what keeps gaps and gap rates, (12 F + 2 n, 12 F + 2 n).
 
         In the order of the columns of :class:`Derivatives`.
         """
@@ -233,7 +233,7 @@ class Motions(NamedTuple):
 
 
 def free_bases(motions: Sequence[Motions]) -> list[np.ndarray]:
-    """Of each, orthonormal displacements and velocities that keep gaps and rates, (12 + 2 n, d).
+    """Of each, orthonormal displacements and velocities that keep gaps and rates, (12 F + 2 n, d).
 
     In the order of the columns of :class:`Derivatives`.
     """

@@ -248,6 +248,8 @@ def fill_by_arm(
     """Write ``given``, a mapping arm or robot -> numbers, into a vector of all joints, (n,)."""
     views, noun = layout.split_joints(joints), layout.noun.removesuffix("s")
     if not isinstance(given, Mapping):
+        if not views:
+            raise error(f"{what}: the scene has no robots; leave it out, got {shown(given)}")
         arm, values = next(iter(views.items()))
         raise error(
             f"{what}: must be a dict with numbers by {noun}, such as {{{arm!r}: {values.size} "

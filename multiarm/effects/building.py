@@ -120,7 +120,7 @@ class UserLoads(NamedTuple):
     """Loads that a Python function computes."""
 
     function: Ints1  # (1,) address
-    loads: Floats1  # (6 + n,) its result: generalised forces [N, N m]
+    loads: Floats1  # (6 F + n,) its result: generalised forces [N, N m]
 
 
 open_loads = view_of_effect(UserLoads)
@@ -147,7 +147,7 @@ def forces_kernel(
     """The kernel of an effect whose forces a Python function ``f(t, state)`` computes.
 
     ``make`` returns the function; it is called once for every Data.  ``read`` returns the result of
-    the function as wrench and joint torques, shape (6 + n,).
+    the function as wrenches on the objects and joint torques, shape (6 F + n,).
     """
     arrays = UserLoads(np.zeros(1, dtype=np.int64), np.zeros(layout.nv))
 

@@ -1,4 +1,4 @@
-r"""Resistance of a medium to the object: forces against its motion, in its own axes.
+r"""Resistance of a medium to objects: forces against their motion, in their own axes.
 
 With :math:`u = R_o^T(v_o - w)` the velocity of the centre of mass relative to the medium, whose own
 is ``w``, and component by component along the object's axes,
@@ -32,7 +32,7 @@ from multiarm.dynamics.coordinates import force_columns
 from multiarm.dynamics.effect_kernels import APPLIED, EffectKernel, set_power, view_of_effect
 from multiarm.effects.building import BuildContext
 from multiarm.jit.kernels import cfunc, inlined
-from multiarm.jit.structs import Floats1, struct_at
+from multiarm.jit.structs import Floats1, Ints1, struct_at
 from multiarm.jit.vectors import (
     AXES,
     add,
@@ -51,8 +51,9 @@ from multiarm.jit.vectors import (
 
 
 class Drag(NamedTuple):
-    """Resistance along and about the object's axes, each (3,)."""
+    """Resistance along and about an object's axes, each (3,)."""
 
+    objects: Ints1  # that move through the medium
     linear: Floats1  # c [N s/m]
     quadratic: Floats1  # q + rho C A / 2 [N s^2/m^2]
     angular: Floats1  # d [N m s/rad]
@@ -64,10 +65,10 @@ open_drag = view_of_effect(Drag)
 
 @cfunc
 def add_drag(address, size, at, _t):
-    """Add the wrench of the medium on every object."""
+    """Add the wrench of the medium on the objects."""
     struct = struct_at(address, size)
     data, drag, power = open_data(struct), open_drag(struct, at), 0.0
-    for o in range(data.bodies.objects.shape[0]):
+    for o in drag.objects:
         body, f_o, first = open_body(data.bodies.objects[o]), data.forces.f_o, 6 * o
         R, u, w = body.rotation, sub(body.velocity, vec(drag.wind, 0)), body.spin
         push = add_scaled(vec(drag.linear, 0), norm(u), vec(drag.quadratic, 0))
@@ -82,10 +83,10 @@ def add_drag(address, size, at, _t):
 
 @cfunc
 def differentiate_drag(address, size, at, _t):
-    """Add the derivatives of the wrench."""
+    """Add the derivatives of the wrenches."""
     struct = struct_at(address, size)
     data, drag = open_data(struct), open_drag(struct, at)
-    for o in range(data.bodies.objects.shape[0]):
+    for o in drag.objects:
         differentiate_on_object(drag, o, data)
     return 0
 
@@ -122,10 +123,12 @@ def along_axes(R, weights, a):
     return rotate(R, (weights[0] * b[0], weights[1] * b[1], weights[2] * b[2]))
 
 
-def build(spec, _context: BuildContext) -> list[EffectKernel]:
-    """The kernel of an object that moves through a medium."""
+def build(spec, context: BuildContext) -> list[EffectKernel]:
+    """The kernel of objects that move through a medium."""
+    objects = [o for o, name in enumerate(context.layout.objects) if spec.is_of(name)]
     coefficients = spec.linear, spec.per_axis(), spec.angular, spec.wind
-    drag = Drag(*(np.array(numbers, dtype=float) for numbers in coefficients))
+    numbers = (np.array(values, dtype=float) for values in coefficients)
+    drag = Drag(np.array(objects, dtype=np.int64), *numbers)
     return [
         EffectKernel("drag", add_drag, APPLIED, drag, local=True, derivative=differentiate_drag)
     ]

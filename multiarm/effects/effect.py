@@ -15,8 +15,9 @@ r"""User-defined effects: a name, parameters, and the forces they add to the equ
     ma.register_effect(Spring)  # or an entry point of its package, group "multiarm.effects"
 
 A scene then has ``effects: {spring: {stiffness: 200}}``.  ``forces`` is called at every evaluation,
-some microseconds each.  To stay in compiled code, an effect defines ``build`` instead, see
-:mod:`multiarm.dynamics.effect_kernels`.
+some microseconds each.  Where a scene has several objects, it returns their wrenches by name:
+``ma.Loads(object_wrenches={"beam": [*pull, 0, 0, 0]})``.  To stay in compiled code, an effect
+defines ``build`` instead, see :mod:`multiarm.dynamics.effect_kernels`.
 
 The forces must be smooth functions of time and state: the integrator notices jumps only by its
 error estimates.
@@ -35,6 +36,7 @@ from numpy.typing import ArrayLike
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State, checked_vector, fill_by_arm
 from multiarm.errors import ControlError
+from multiarm.scene.faults import shown, unknown
 from multiarm.scene.registry import UserSpec
 
 if TYPE_CHECKING:
@@ -52,10 +54,13 @@ class Loads:
         Force [N] and moment about the centre of mass [N m] on the object, world axes.
     joint_torques : mapping of str to array-like, shape (n_i,)
         Arm name -> torques of its joints, base to tip [N m], sliding joints [N].
+    object_wrenches : mapping of str to array-like, shape (6,)
+        Object name -> what ``object_wrench`` is, for scenes with several objects.
     """
 
     object_wrench: ArrayLike = field(default_factory=lambda: np.zeros(6))
     joint_torques: Mapping[str, ArrayLike] = field(default_factory=dict)
+    object_wrenches: Mapping[str, ArrayLike] = field(default_factory=dict)
 
 
 class Effect:
@@ -122,14 +127,34 @@ class Effect:
 
 
 def _stacked(name: str, layout: Layout, loads: object) -> np.ndarray:
-    """Wrench and torques of all joints, shape (6 + n,)."""
+    """Wrenches on the objects and torques of all joints, shape (6 F + n,)."""
     who = f"the effect {name!r}"
     if not isinstance(loads, Loads):
         raise ControlError(f"{who} returned {type(loads).__name__}; return multiarm.Loads(...)")
     forces = np.zeros(layout.nv)
-    forces[layout.of_frames] = checked_vector(
-        f"{who}: object_wrench", loads.object_wrench, 6, ControlError
-    )
+    _fill_wrenches(who, layout, layout.twists(forces), loads)
     torques = layout.joint_rates(forces)
     fill_by_arm(f"{who}: joint_torques", layout, torques, loads.joint_torques, ControlError)
     return forces
+
+
+def _fill_wrenches(who: str, layout: Layout, wrenches: np.ndarray, loads: Loads) -> None:
+    """Write the wrenches on all objects, (F, 6)."""
+    wrench = checked_vector(f"{who}: object_wrench", loads.object_wrench, 6, ControlError)
+    example = f"object_wrenches={{{layout.objects[0]!r}: 6 numbers}}"
+    if not isinstance(loads.object_wrenches, Mapping):
+        got = shown(loads.object_wrenches)
+        raise ControlError(f"{who}: needs a dict by object, such as {example}, got {got}")
+    if len(layout.objects) == 1:
+        wrenches[0] = wrench
+    elif np.any(wrench):
+        raise ControlError(
+            f"{who}: object_wrench: there are {len(layout.objects)} objects, "
+            f"{', '.join(layout.objects)}; return {example}"
+        )
+    for name, values in loads.object_wrenches.items():
+        if name not in layout.objects:
+            fault = unknown("object", name, layout.objects)
+            raise ControlError(f"{who}: object_wrenches: {fault}")
+        place = f"{who}: object_wrenches[{name!r}]"
+        wrenches[layout.objects.index(name)] += checked_vector(place, values, 6, ControlError)

@@ -54,7 +54,7 @@ class RowDynamics:
         return REST_RATE * (1.0 + float(fastest))
 
     def jacobian(self, rows: list[int]) -> np.ndarray:
-        """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 + n)."""
+        """Rows of ``[W_o^T, W^T]``, shape (len(rows), 6 F + n)."""
         return force_directions(self.full)[:, rows].T.copy()
 
     def response(self, jacobian: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +128,7 @@ def depends_on_held_rows(response: np.ndarray, jacobian: np.ndarray) -> bool:
 
 
 def _motion_due_to(data: Data, force: np.ndarray) -> np.ndarray:
-    """Accelerations (velocities) of object and joints due to forces (impulses), (6 + n,)."""
+    """Accelerations (velocities) of objects and joints by forces (impulses), (6 F + n,)."""
     b = data.arrays
     require_ok(data, update_kinematics(data.struct))
     b.forces.f[:], b.rows.c[:] = force, 0.0

@@ -14,12 +14,12 @@ effects, which are as these state them (:mod:`multiarm.dynamics.force_derivative
 and effects are *local*, a block's :math:`F_i, F_{\varphi i}, g_i` depend on the states of this
 block and of the object only, and :math:`f_o` on the object's.
 
-*The multipliers* s of a control law (:mod:`multiarm.dynamics.control_laws`) are six more unknowns:
-with them a block's torques are local too, and the wrench balance :math:`F_s = \sum_i r_i - w = 0`
-is six more equations.
+*The multipliers* s of a control law (:mod:`multiarm.dynamics.control_laws`) are six more unknowns
+an object: with them a block's torques are local too, and the wrench balance
+:math:`F_s = \sum_i r_i - w = 0` is as many more equations.
 
-*Each block* is solved on its own for its columns x_i, the object's 12, the time, and the six of
-:math:`\chi = d\dot v_o`, and then the object by its mobility,
+*Each block* is solved on its own for its columns x_i, the 12 F of the objects, the time, and the
+6 F of :math:`\chi = d\dot v_o`, and then the objects by their mobility,
 
 .. math::
     d\ddot q_i &= A_i\, dx_i + A_{oi}\, dx_o + U_i\, \chi, \qquad
@@ -30,7 +30,7 @@ is six more equations.
     B_o = S^{-1} \Big(\sum_i (W_{oi} A^\lambda_{oi} - \partial_o g_i)
           - \partial_o (M_o \dot v_o - f_o)\Big) .
 
-With s the *couplings* are twelve: :math:`\chi` has ds below it, U the columns of s beside
+With s the *couplings* are 12 F: :math:`\chi` has ds below it, U the columns of s beside
 its own, S the rows :math:`(0, \partial F_s / \partial s)`, and the right sides of B the rows
 :math:`-\partial r_i, -\sum_i \partial_o r_i`.
 
@@ -170,7 +170,7 @@ def gather(blocks, data, work, power, of_drives):
         for l in range(frames):
             slope = slopes[l, source]
             blocks.by_object[l, c] -= slope
-            power_slope += slope * data.state.twists[0][l]
+            power_slope += slope * data.state.velocity[l]
         if power >= 0:
             blocks.by_object[blocks.couplings + total, c] += power_slope
         if 0 <= power < total:

@@ -42,8 +42,8 @@ class BlockMatrices(NamedTuple):
     m: Int
     e: Int
     works: Int  # powers: of the effects that do work, last of control and effects
-    frames: Int  # velocities of the object, o
-    couplings: Int  # unknowns that couple the blocks: the object's accelerations, six multipliers
+    frames: Int  # velocities of the objects, o = 6 F
+    couplings: Int  # unknowns that couple the blocks: the objects' accelerations, multipliers
     counts: Ints1  # (n,) effects' states of each block
     states: Ints2  # (n, e) their places among all
     # (n, P + 2 o + 1 + u) column of each one of ``derivatives`` among those of forces; -1: none

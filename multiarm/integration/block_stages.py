@@ -5,7 +5,7 @@ With the blocks A, B, U of :mod:`multiarm.integration.block_matrices`, a stage h
 and :math:`\chi`, the derivatives along the stage of the couplings: the object's acceleration, and
 the multipliers of a control law.  With R of
 :mod:`multiarm.integration.rosenbrock`, right-hand sides r (x: of the object's pose, q: of the
-joints' positions) and the first six of :math:`\chi`, these rates are functions of the others,
+joints' positions) and the first 6 F of :math:`\chi`, these rates are functions of the others,
 
 .. math::
     k_o = \gamma (r_o + h \chi), \qquad k_x = R_o (r_x + h k_o), \qquad
@@ -13,7 +13,7 @@ joints' positions) and the first six of :math:`\chi`, these rates are functions 
 
 :math:`R_i` is :math:`\gamma`, but for the turn of a floating base, for which it is like
 :math:`R_o`.  What is left is a matrix :math:`E_i` as large as the block's velocities and states,
-and one system for :math:`\chi` alone, six equations or twelve:
+and one system for :math:`\chi` alone, 6 F equations or 12 F:
 
 .. math::
     E_i &= \frac1\gamma - h A^v_i - h^2 A^q_i R_i, \qquad

@@ -35,7 +35,7 @@ contacts.  The rates of their positions are those of :math:`v'`: with the deriva
 Elsewhere the derivatives are differences of whole evaluations: where constraints nearly lose rank,
 since accelerations are interpolated there from six states, and where contacts slide while stages
 are projected.  They are central in the positions, on which everything depends in the most curved
-way, and forward in the velocities, of which accelerations are quadratic functions: 3 (6 + n)
+way, and forward in the velocities, of which accelerations are quadratic functions: 3 (6 F + n)
 evaluations for n joints of all blocks, one for each state of an effect, and two more, for the time,
 where there is control or an effect.
 """

@@ -26,8 +26,8 @@ grows the cost of its derivatives, with the cube that of its factors; for few bl
 *The derivatives* are exact with either, and take one evaluation, that of the beginning; a step that
 was rejected leaves its own to the next one, which begins there too.  A law or effect that states no
 derivative is differentiated by differences, which compute its forces and the kinematics that these
-need: n of the longest block twice where it is local, twelve and twice n of all blocks elsewhere,
-and none for a function of a user, which knows the state alone.  Whole evaluations are
+need: n of the longest block twice where it is local, twelve an object and twice n of all blocks
+elsewhere, and none for a function of a user, which knows the state alone.  Whole evaluations are
 differentiated where constraints nearly lose rank.
 """
 

@@ -15,9 +15,11 @@ from object_scenes import (
     PENDULUM,
     PLATE,
     SLED,
+    body,
     double_pendulum,
     hinged_plates,
     load_on_sled,
+    objects_scene,
     peg_acceleration,
     peg_in_socket,
     pendulum_accelerations,
@@ -115,6 +117,37 @@ def test_friction_brakes_a_load_and_drives_the_sled_below_it(solved):
     np.testing.assert_allclose(rail, [0.0, 0.0, -(load + sled) * GRAVITY], atol=1e-9)
 
 
+# --- effects -------------------------------------------------------------------------------------
+
+
+def drag_on(**named: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Accelerations of two free bodies in a medium, and their derivatives by the first's twist."""
+    speeds = {"first": [2.0, 0.0, 0.0, 0.0, 0.0, 3.0], "second": [0.0, 4.0, 0.0, 5.0, 0.0, 0.0]}
+    objects = {
+        name: body(0.5 * (1 + k), [0.1, 0.1, 0.1], [3.0 * k, 0.0, 0.0], twist=twist)
+        for k, (name, twist) in enumerate(speeds.items())
+    }
+    drag = {"linear": 3.0, "angular": 0.2, **named}
+    system = system_of(objects_scene(objects, [], effects={"drag": drag}))
+    derivatives = ma.derivatives(system, 0.0, system.initial_state())
+    by_twist = derivatives.object_acceleration.d_object_twist
+    return dict(derivatives.evaluation.object_accelerations), np.diag(by_twist)
+
+
+def test_a_medium_resists_every_object_or_the_one_that_is_named():
+    of_first, of_second = [-12.0, 0, 0, 0, 0, -6.0], [0, -12.0, 0, -10.0, 0, 0]
+    slopes = np.repeat([-6.0, -2.0, -3.0, -2.0], 3)
+    for named, acts in (
+        ({}, (1.0, 1.0)),
+        ({"object": "first"}, (1.0, 0.0)),
+        ({"object": "second"}, (0.0, 1.0)),
+    ):
+        accelerations, by_twist = drag_on(**named)
+        np.testing.assert_allclose(accelerations["first"], acts[0] * np.array(of_first))
+        np.testing.assert_allclose(accelerations["second"], acts[1] * np.array(of_second))
+        np.testing.assert_allclose(by_twist, np.repeat(acts, 6) * slopes)
+
+
 # --- random scenes -------------------------------------------------------------------------------
 
 
@@ -152,3 +185,16 @@ def test_states_have_their_objects_by_name():
         _ = ma.evaluate(system).object_acceleration
     with pytest.raises(ModelError, match="uper"):
         system.state(objects={"uper": {"position": [0.0, 0.0, 0.0]}})
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda ev: ev.W_o,
+        lambda ev: ev.internal_forces(),
+        lambda ev: ev.force_decomposition(),
+    ],
+)
+def test_forces_that_do_not_move_one_object_are_refused_where_there_are_several(read):
+    with pytest.raises(ModelError, match="2 objects, upper, lower"):
+        read(node(double_pendulum(ANGLES, RATES)))

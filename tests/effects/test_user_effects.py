@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from object_scenes import DOWN, double_pendulum
 from refusals import refused
 from repository import ROOT, SCENES
 from user_classes import empty_registries, offered
@@ -91,6 +92,33 @@ def test_torques_of_an_effect_act_as_those_of_a_controller():
     assert all(np.all(torque == 0.0) for torque in b.joint_torques.values())
 
 
+def hanging(effects: dict | None = None, **more) -> ma.System:
+    """Two objects that hang from each other, and from the world."""
+    scene = double_pendulum([0.4, -0.9], [1.1, -0.6]) | {"effects": effects or {}} | more
+    return ma.compile_system(parse_scene(scene))
+
+
+def test_wrenches_by_name_act_on_the_objects_as_their_weights_do():
+    heavy = hanging()
+    masses = {name: body.mass for name, body in heavy.scene.all_objects.items()}
+    weights = {name: [*(mass * np.array(DOWN)), 0, 0, 0] for name, mass in masses.items()}
+    effect_of(lambda _t, _state: ma.Loads(object_wrenches=weights))
+    expected, pushed = ma.evaluate(heavy), ma.evaluate(hanging({"push": {}}, gravity=None))
+    for name, acceleration in expected.object_accelerations.items():
+        assert np.abs(acceleration).max() > 1.0
+        assert pushed.object_accelerations[name] == pytest.approx(acceleration, abs=1e-11)
+
+
+def test_the_only_object_may_be_named():
+    wrench = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3]
+    loads = [ma.Loads(wrench)]
+    effect_of(lambda _t, _state: loads[-1])
+    system = ma.compile_system(RING.replace(effects={"push": {}}))
+    expected = ma.evaluate(system).object_acceleration
+    loads.append(ma.Loads(object_wrenches={"object": wrench}))
+    np.testing.assert_array_equal(ma.evaluate(system).object_acceleration, expected)
+
+
 @pytest.mark.slow
 def test_the_recorded_work_is_that_of_wrench_and_torques_along_the_motion():
     arm = next(iter(RING.arms))
@@ -157,6 +185,8 @@ def test_an_effect_cannot_change_the_state_that_it_is_shown():
         lambda t, s: ma.Loads(joint_torques={"rigth": [0.0]}),
         lambda t, s: ma.Loads(joint_torques={"arm0": [0.0]}),
         lambda t, s: ma.Loads(joint_torques=[0.0]),
+        lambda t, s: ma.Loads(object_wrenches=[0.0] * 6),
+        lambda t, s: ma.Loads(object_wrenches={"beam": [0.0] * 6}),
     ],
 )
 def test_what_an_effect_must_not_return_is_one_clear_error(function):
@@ -164,6 +194,26 @@ def test_what_an_effect_must_not_return_is_one_clear_error(function):
     scene = RING.replace(effects={"push": {}})
     with refused(ma.MultiarmError, "'push'"):
         ma.simulate(ma.compile_system(scene), 0.1)
+
+
+@pytest.mark.parametrize(
+    "loads",
+    [
+        ma.Loads([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ma.Loads(object_wrenches={"uper": [0.0] * 6}),
+        ma.Loads(object_wrenches={"upper": [0.0]}),
+    ],
+)
+def test_wrenches_on_several_objects_name_them(loads):
+    effect_of(lambda _t, _state: loads)
+    with refused(ma.MultiarmError, "'push'", "object_wrench"):
+        ma.evaluate(hanging({"push": {}}))
+
+
+def test_torques_by_number_are_refused_where_there_are_no_robots():
+    effect_of(lambda _t, _state: ma.Loads(joint_torques=[0.0]))
+    with refused(ma.MultiarmError, "'push'", "joint_torques"):
+        ma.evaluate(hanging({"push": {}}, robots={}))
 
 
 def test_an_effect_that_fails_on_the_way_ends_the_run_with_what_was_recorded():

@@ -119,7 +119,7 @@ PUBLIC_ATTRIBUTES = {
     "Kinematics": "tips",
     "LinearSystem": "A B C D rate state state_names input_names output_names modes controllable "
     "stability coordinates_of state_at to_scipy to_control",
-    "Loads": "object_wrench joint_torques",
+    "Loads": "object_wrench joint_torques object_wrenches",
     "Scene": "name gravity object arms joints control effects run",
     "Sensitivities": "time matrix rows columns states trajectory error object_pose object_twist "
     "joint_positions joint_velocities",

@@ -19,6 +19,7 @@ from typing import Any
 import event_scenes
 import golden
 import numpy as np
+import object_scenes
 from random_trees import draw_trees
 
 import multiarm as ma
@@ -79,6 +80,24 @@ def implicit_steps() -> golden.Results:
     system = ma.compile_system(HARD_CASES["stiff_damping"].scene())
     run = ma.simulate(system, 0.01, integrator="rodas5p", tolerance=1e-6, certificate=False)
     return {"twist": run.object_twist, "status": run.status}
+
+
+def implicit_steps_of_objects() -> golden.Results:
+    """The same of two objects, each on an arm that eliminates its own contacts."""
+    objects, arms, joints = {}, {}, []
+    for k, name in enumerate("ab"):
+        place = [float(k), 0.0, 0.0]
+        objects[name] = object_scenes.body(1.0 + k, [0.01, 0.02, 0.03], place)
+        arms[f"arm_{name}"] = event_scenes.arm("xyzXYZ", base={"xyz": place})
+        joints.append({"arm": f"arm_{name}", "object": name, "kind": "ball", "at": {}})
+    scene = {
+        "gravity": object_scenes.DOWN, "objects": objects, "arms": arms, "joints": joints,
+        "effects": {"joint_damping": 1.0, "drag": {"linear": 0.5}},
+    }  # fmt: skip
+    system = ma.compile_system(parse_scene(scene))
+    run = ma.simulate(system, 2e-3, integrator="rodas5p", tolerance=1e-3, certificate=False)
+    twists = [motion.twist[-1] for motion in run.objects.values()]
+    return {"twists": np.concatenate(twists), "work": run.channel("effects/drag/work")}
 
 
 def event() -> golden.Results:
@@ -160,6 +179,7 @@ COMPUTATIONS: dict[str, Callable[[], golden.Results]] = {
         step,
         ten_steps,
         implicit_steps,
+        implicit_steps_of_objects,
         event,
         derivatives,
         gradient,

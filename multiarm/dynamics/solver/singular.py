@@ -402,10 +402,10 @@ def solve_coupled(work, coupled, f_o, f_j, c, a_o, a_j, force):
 
     Parameters
     ----------
-    f_o : (6,), f_j : (sum of joints,), c : (sum of contacts,)
+    f_o : (6 F,), f_j : (sum of joints,), c : (sum of contacts,)
         Right-hand sides, blocks stacked.
-    a_o : (6,), a_j : (sum of joints,), force : (sum of contacts,), written
-        Object's and joints' unknowns, and the physical contact forces ``lambda = -mu``.
+    a_o : (6 F,), a_j : (sum of joints,), force : (sum of contacts,), written
+        Objects' and joints' unknowns, and the physical contact forces ``lambda = -mu``.
     """
     n = work.first_joint.size - 1
     copy(f_o, a_o)
