@@ -226,9 +226,9 @@ def _posture(arm: ArmFacts | RobotFacts) -> Text:
 
 def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     smallest, dropped = freedom.smallest_kept, freedom.largest_dropped
-    cut = f"smallest relative singular value {number(smallest)}"
-    if dropped is not None:
-        cut += f", next {number(dropped)}"
+    cut = "" if smallest is None else f" (smallest relative singular value {number(smallest)}"
+    if cut:
+        cut += ")" if dropped is None else f", next {number(dropped)})"
     parts = ["6 of the object" if freedom.objects == 1 else "6 of each object"]
     parts += ["6 of each floating base"] if freedom.floating_bases else []
     others = {"couplings": freedom.couplings, "wheels": freedom.wheels}
@@ -237,8 +237,8 @@ def _freedom(freedom: Freedom, loose: list[str]) -> dict[str, RenderableType]:
     sources = f" ({of_connections} of connections{further})" if further else ""
     rows: dict[str, RenderableType] = {
         "degrees of freedom": f"{freedom.degrees_of_freedom} ({', '.join(parts)}, one a joint)",
-        "constraints": f"{freedom.constraints}{sources}, of which {freedom.rank} are independent "
-        f"({cut})",
+        "constraints": f"{freedom.constraints}{sources}, of which {freedom.rank} are independent"
+        f"{cut}",
         "mobility": Text(str(freedom.mobility), "bold"),
     }
     if freedom.redundant_rows:

@@ -333,7 +333,7 @@ def _work_on_gaps(run: Trajectory) -> float:
     for time, gaps, rates, *blocks in run.blocks(
         "time", "drift/position", "drift/velocity", *forces
     ):
-        total = sum(np.abs(values).sum(axis=1) for values in blocks)
+        total = sum((np.abs(values).sum(axis=1) for values in blocks), np.zeros(len(time)))
         largest, gap = np.maximum(largest, total.max()), np.maximum(gap, gaps.max())
         steps = np.diff(time, prepend=time[0] if before is None else before)
         opened += float(rates @ steps)

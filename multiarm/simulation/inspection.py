@@ -291,7 +291,7 @@ def count_freedom(data: Data) -> Freedom:
         redundant_rows=[
             name for name, unique in zip(names, space.untouched, strict=True) if not unique
         ],
-        smallest_kept=float(singular[rank - 1]),
+        smallest_kept=float(singular[rank - 1]) if rank else None,
         largest_dropped=float(singular[rank]) if rank < singular.size else None,
     )
 

@@ -5,10 +5,13 @@ Oracles: SciPy on dense algebra, closed forms, equations of textbooks, conserved
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from commands import multiarm
 from object_scenes import (
     DOWN,
     GRAVITY,
@@ -16,6 +19,7 @@ from object_scenes import (
     PENDULUM,
     SLED,
     ball_at_plate,
+    body,
     double_pendulum,
     hinged_plates,
     hit_impulse,
@@ -337,3 +341,23 @@ def test_runs_in_threads_are_those_of_one():
     for run in many:
         for name, motion in run.objects.items():
             np.testing.assert_array_equal(motion.position, alone.objects[name].position)
+
+
+def test_bodies_that_nothing_joins_move_for_themselves(tmp_path):
+    objects = {
+        "slowed": body(2.0, [0.1] * 3, [0.0, 0.0, 0.0], twist=[1.0, 0.0, 0.0, 0.0, 0.0, 0.5]),
+        "free": body(1.0, [0.1] * 3, [3.0, 0.0, 0.0], twist=[0.0, 2.0, 0.0, 0.0, 0.0, 0.0]),
+    }
+    drag = {"linear": 4.0, "object": "slowed"}
+    scene = objects_scene(objects, [], effects={"drag": drag}, run={"duration": 0.1})
+    path, facts = tmp_path / "scene.yaml", tmp_path / "check.json"
+    path.write_text(yaml.safe_dump(scene))
+    run = ma.simulate(ma.compile_system(ma.load_scene(path)), accuracy=1e-8)
+    assert run.certificate is not None and run.certificate["met"]
+    slowed, free = run.objects["slowed"].twist[-1], run.objects["free"].twist[-1]
+    np.testing.assert_allclose(slowed, [np.exp(-0.2), 0, 0, 0, 0, 0.5], atol=1e-8)
+    np.testing.assert_allclose(free, objects["free"]["twist"], atol=1e-12)
+    result = multiarm("check", path, "--json", facts)
+    assert result.exit_code == 0, result.output
+    freedom = json.loads(facts.read_text())["freedom"]
+    assert (freedom["constraints"], freedom["rank"], freedom["mobility"]) == (0, 0, 13)
