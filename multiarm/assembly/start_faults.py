@@ -18,6 +18,7 @@ from multiarm.contacts.unilateral import LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import wrench_rows
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.failures import is_tip_of_arm, joint_of, owner_of
+from multiarm.dynamics.layout import TWIST
 from multiarm.geometry.records import SURFACE_ON_OBJECT, Contact
 from multiarm.scene import JointSpec, Scene
 from multiarm.scene.faults import counted
@@ -155,7 +156,10 @@ def cannot_close(data: Data, name: str, gaps: str, linkage: Linkage, end: Closin
     if faults:
         return faults
     if end.outcome is Outcome.FAR:
-        names = [*["the object"] * 6, *(f"joint '{name}'" for name in data.model.joint_names)]
+        objects = data.model.layout.objects
+        bodies = ["the object"] if len(objects) == 1 else [f"object '{name}'" for name in objects]
+        names = [body for body in bodies for _ in range(TWIST)]
+        names += [f"joint '{name}'" for name in data.model.joint_names]
         worst = int(np.argmax(end.changes))
         why = f"{names[worst]} would have to move by more than "
         why += f"{FARTHEST * linkage.unit[worst]:.3g} rad or m for it, which is no correction"

@@ -10,11 +10,15 @@ import pytest
 import trimesh
 from commands import multiarm
 from mechanics import UR5_POSTURE, plain_gaps, scene_of, single_arm, sledge_urdf, ur5_pair
+from object_scenes import double_pendulum
 from refusals import refused
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
+from multiarm.assembly.linkage import Linkage
+from multiarm.assembly.loop_closure import Closing, Outcome
 from multiarm.assembly.start import project_start
+from multiarm.assembly.start_faults import cannot_close
 from multiarm.assembly.start_warnings import start_warnings
 from multiarm.dynamics.contact_geometry import place_state
 from multiarm.dynamics.data import Data
@@ -22,7 +26,7 @@ from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.errors import MultiarmError, SceneError, SolverError
 from multiarm.problems import HARD_CASES
-from multiarm.scene import Shape, dump_scene
+from multiarm.scene import Shape, dump_scene, parse_scene
 from multiarm.simulation.inspection import inspect_system
 
 
@@ -424,3 +428,18 @@ def test_a_posture_that_assembly_pushes_into_a_limit_is_told(tmp_path):
         result = multiarm(*words, path)
         assert result.exit_code == 0 and text in result.stderr.replace("\n", " ")
     assert start_warnings(tip) == []
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "who"), [(2, "object 'upper'"), (8, "object 'lower'"), (12, "joint 'aside/j1'")]
+)
+def test_what_would_have_to_move_too_far_is_named_among_several_objects(coordinate, who):
+    system = ma.compile_system(parse_scene(double_pendulum([0.4, -0.9], [0.0, 0.0])))
+    with system.borrow() as data:
+        place_state(data, 0.0, system.initial_state())
+        require_ok(data, update_kinematics(data.struct))
+        everything = list(range(data.model.layout.block_count))
+        linkage = Linkage(data, everything, True, np.array([[-1.0, 1.0]]))
+        changes = np.eye(13)[coordinate]
+        (fault,) = cannot_close(data, "it", "1 m", linkage, Closing(Outcome.FAR, changes))
+    assert f"{who} would have to move" in fault
