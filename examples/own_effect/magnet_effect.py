@@ -48,16 +48,16 @@ open_magnet = view_of_effect(MagnetNumbers)
 
 @cfunc
 def pull(address, size, at, _t):
-    """Add the force, and state its power."""
+    """Add the force on the first object, and state its power."""
     struct = struct_at(address, size)
     data, magnet, power = open_data(struct), open_magnet(struct, at), 0.0
     squared = magnet.softening**2
     for k in range(3):
-        squared += (magnet.place[k] - data.state.object_pose[k]) ** 2
+        squared += (magnet.place[k] - data.state.poses[0, k]) ** 2
     for k in range(3):
-        force = magnet.strength * (magnet.place[k] - data.state.object_pose[k]) / squared**1.5
+        force = magnet.strength * (magnet.place[k] - data.state.poses[0, k]) / squared**1.5
         data.forces.f_o[k] += force
-        power += force * data.state.object_twist[k]
+        power += force * data.state.twists[0, k]
     set_power(struct, at, power)
     return 0
 
