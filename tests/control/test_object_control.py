@@ -290,7 +290,7 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
         zero = np.zeros((1, 3))
         still = PosePath(np.array([0.0, 1.0]), x_r[None], zero, rest.as_quat()[None], zero)
         no_forces = np.zeros(0), np.zeros((0, 6))
-        law = ObjectLaw(stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *still)
+        law = ObjectLaw(0, stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *still)
 
         def energy(step, q=q, rest=rest, x=x, x_r=x_r):
             turned = Rotation.from_rotvec(step[3:]) * q
