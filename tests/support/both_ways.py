@@ -21,6 +21,7 @@ import golden
 import numpy as np
 import object_scenes
 from random_trees import draw_trees
+from tree_scenes import satellite_scene
 
 import multiarm as ma
 from multiarm.assembly.inverse_kinematics import InverseKinematics
@@ -207,13 +208,14 @@ def error_of(function: Callable, *arguments: Any) -> str:
 
 
 def lines_of_kernels() -> golden.Results:
-    """Share of three kernels' lines that a tracer, such as a debugger, sees during an evaluation.
+    """Share of three kernels' lines that a tracer, such as a debugger, sees during evaluations.
 
     One that Python calls, one that is called by its address, one that is inlined.
     """
     from multiarm.dynamics.equations import evaluate_state
 
-    system, seen = dividing(), {}
+    floating = ma.compile_system(parse_scene(satellite_scene()), arms="compiled")
+    systems, seen = (dividing(), floating), {}
     for function in (evaluate_state, update_robots, outwards):
         seen[function.py_func.__code__] = set()
 
@@ -227,7 +229,8 @@ def lines_of_kernels() -> golden.Results:
     before = sys.gettrace()
     sys.settrace(trace)
     try:
-        ma.evaluate(system)
+        for system in systems:
+            ma.evaluate(system)
     finally:
         sys.settrace(before)
     return {code.co_name: len(lines) / len(_lines_of(code)) for code, lines in seen.items()}
