@@ -378,7 +378,7 @@ def test_links_keep_off_the_object(rng):
         place[:3, 3] = middle + [0.0, 0.22 * side, 0.0]
         places.append(place)
     body = ObjectSpec(mass=1.0, shape={"box": size.tolist()}, pose={"xyz": middle.tolist()})
-    q = robot.search(robot.holds(places), body=body).best()
+    q = robot.search(robot.holds(places), bodies=[body]).best()
     origins, parents = np.array([X[:3, 3] for X in robot.poses(q)]), robot.structure.parents[4:]
     for part in np.linspace(0.0, 1.0, 9):
         points = (1.0 - part) * origins[parents] + part * origins[4:-1]

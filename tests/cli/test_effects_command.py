@@ -159,13 +159,16 @@ def test_recording_and_stabilization_do_not_move_what_they_are_about(found):
 
 
 def test_ends_at_different_times_are_not_compared():
-    run, failed = (
-        SimpleNamespace(
-            status=status, time=np.array([0.0, end]), object_position=np.full((2, 3), end),
-            object_quaternion_xyzw=np.array([[0.0, 0.0, 0.0, 1.0]] * 2),
+    def ended(status: str, end: float) -> SimpleNamespace:
+        channels = {
+            "object/position": np.full((2, 3), end),
+            "object/quaternion_xyzw": np.array([[0.0, 0.0, 0.0, 1.0]] * 2),
+        }
+        return SimpleNamespace(
+            status=status, time=np.array([0.0, end]), channels={}, channel=channels.get
         )
-        for status, end in (("completed", 1.0), ("failed", 0.5))
-    )  # fmt: skip
+
+    run, failed = ended("completed", 1.0), ended("failed", 0.5)
     assert effect_costs.last_changes(None, run, run)[PATH].value == 0.0
     assert effect_costs.last_changes(None, run, failed) == {}
 

@@ -226,7 +226,7 @@ def test_interpolation_leaves_the_state_as_it_was():
         np.concatenate([b.state.poses[0], b.state.joint_positions]), state.position
     )
     np.testing.assert_array_equal(
-        np.concatenate([b.state.object_twist, b.state.joint_rates]), state.velocity
+        np.concatenate([b.state.twists[0], b.state.joint_rates]), state.velocity
     )
 
 

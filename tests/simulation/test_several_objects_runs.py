@@ -350,6 +350,9 @@ def test_bodies_that_nothing_joins_move_for_themselves(tmp_path):
     }
     drag = {"linear": 4.0, "object": "slowed"}
     scene = objects_scene(objects, [], effects={"drag": drag}, run={"duration": 0.1})
+    scene["robots"] = {
+        "aside": {"robot": "ur5", "base": {"xyz": [0.0, 5.0, 0.0]}, "tips": {"hand": "tool0"}}
+    }
     path, facts = tmp_path / "scene.yaml", tmp_path / "check.json"
     path.write_text(yaml.safe_dump(scene))
     run = ma.simulate(ma.compile_system(ma.load_scene(path)), accuracy=1e-8)
@@ -360,4 +363,4 @@ def test_bodies_that_nothing_joins_move_for_themselves(tmp_path):
     result = multiarm("check", path, "--json", facts)
     assert result.exit_code == 0, result.output
     freedom = json.loads(facts.read_text())["freedom"]
-    assert (freedom["constraints"], freedom["rank"], freedom["mobility"]) == (0, 0, 13)
+    assert (freedom["constraints"], freedom["rank"], freedom["mobility"]) == (0, 0, 18)
