@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from object_scenes import (
+    ASIDE,
     GRAVITY,
     PENDULUM,
     PLATE,
@@ -128,9 +129,9 @@ def drag_on(**named: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
         for k, (name, twist) in enumerate(speeds.items())
     }
     drag = {"linear": 3.0, "angular": 0.2, **named}
-    system = system_of(objects_scene(objects, [], effects={"drag": drag}))
+    system = system_of(objects_scene(objects, [], robots=ASIDE, effects={"drag": drag}))
     derivatives = ma.derivatives(system, 0.0, system.initial_state())
-    by_twist = derivatives.object_acceleration.d_object_twist
+    by_twist = np.vstack([a.d_object_twist for a in derivatives.object_accelerations.values()])
     return dict(derivatives.evaluation.object_accelerations), np.diag(by_twist)
 
 

@@ -13,6 +13,7 @@ import pytest
 import yaml
 from commands import multiarm
 from object_scenes import (
+    ASIDE,
     DOWN,
     GRAVITY,
     HIT,
@@ -349,10 +350,8 @@ def test_bodies_that_nothing_joins_move_for_themselves(tmp_path):
         "free": body(1.0, [0.1] * 3, [3.0, 0.0, 0.0], twist=[0.0, 2.0, 0.0, 0.0, 0.0, 0.0]),
     }
     drag = {"linear": 4.0, "object": "slowed"}
-    scene = objects_scene(objects, [], effects={"drag": drag}, run={"duration": 0.1})
-    scene["robots"] = {
-        "aside": {"robot": "ur5", "base": {"xyz": [0.0, 5.0, 0.0]}, "tips": {"hand": "tool0"}}
-    }
+    alone = {"effects": {"drag": drag}, "run": {"duration": 0.1}}
+    scene = objects_scene(objects, [], robots=ASIDE, **alone)
     path, facts = tmp_path / "scene.yaml", tmp_path / "check.json"
     path.write_text(yaml.safe_dump(scene))
     run = ma.simulate(ma.compile_system(ma.load_scene(path)), accuracy=1e-8)

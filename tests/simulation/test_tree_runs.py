@@ -79,9 +79,9 @@ def test_a_cart_that_rolls_freely_keeps_its_momentum():
     run = ma.simulate(system_of(scene), 0.5, integrator="dop853", tolerance=1e-10)
     assert run.status == "completed", run.message
     trees = read_tree_scene(scene)
-    momenta = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
-    assert np.max(np.abs(momenta[0, :2])) > 1.0
-    np.testing.assert_allclose(momenta[:, :2], momenta[0, :2][None].repeat(len(run), 0), atol=1e-8)
+    linear = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
+    assert np.max(np.abs(linear[0, :2])) > 1.0
+    np.testing.assert_allclose(linear[:, :2], linear[0, :2][None].repeat(len(run), 0), atol=1e-8)
     assert np.max(np.abs(run.energy_balance)) < 1e-8
 
 
@@ -103,9 +103,9 @@ def test_a_cart_stops_at_the_end_of_its_rail():
     assert hit["before"]["gap_rate_m_s"] == pytest.approx(-0.5, abs=1e-9)
     assert hit["after"]["gap_rate_m_s"] == pytest.approx(0.2, abs=1e-9)
     trees = read_tree_scene(scene)
-    momenta = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
-    np.testing.assert_allclose(momenta[:, 1], momenta[0, 1], rtol=1e-9)
-    change = momenta[-1, 0] - momenta[0, 0]
+    linear = np.array([momenta(trees, tree_state(run, k)).linear for k in range(len(run))])
+    np.testing.assert_allclose(linear[:, 1], linear[0, 1], rtol=1e-9)
+    change = linear[-1, 0] - linear[0, 0]
     assert change == pytest.approx(-hit["after"]["impulse_N_s"], rel=1e-8)
     assert np.max(np.abs(run.energy_balance)) < 1e-8
     names = list(run.channels["arms/cart/contact_force"].labels)

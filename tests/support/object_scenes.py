@@ -14,6 +14,10 @@ GRAVITY = 9.81
 Y, Z = [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
 
 
+ASIDE = {"aside": {"robot": "ur5", "base": {"xyz": [0.0, 5.0, 0.0]}, "tips": {"hand": "tool0"}}}
+"""A robot that holds nothing: scenes without joints need one."""
+
+
 def objects_scene(
     objects: dict[str, dict[str, Any]], joints: list[dict[str, Any]], **more: Any
 ) -> dict[str, Any]:
