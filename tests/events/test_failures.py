@@ -22,7 +22,7 @@ def test_a_mode_that_cannot_be_evaluated_is_told_with_the_reason(height):
     system = ma.compile_system(on_floor(ball(height=height)))
     with system.borrow() as data:
         data.model.constants.object_inertias[:] *= -1.0
-        with pytest.raises(SolverError, match=r"^the object's node matrix is not positive"):
+        with pytest.raises(SolverError, match=r"^the node matrix of the objects is not positive"):
             enter_mode_at(data, 0.0, system.initial_state())
 
 
