@@ -21,6 +21,7 @@ from multiarm.dynamics.momenta import times_block_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
 from multiarm.dynamics.solver.factors import norm
+from multiarm.dynamics.solver.node import NODE
 from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel, larger
 from multiarm.jit.simd import broadcast, load_pack, store_pack
 from multiarm.jit.vectors import vec
@@ -142,15 +143,17 @@ def imbalance(data, W_o):
     of a row shows that it is less than ``IMBALANCE_BOUND``; it is NaN where the solution is not
     finite.
     """
-    largest = 0.0
-    for at in range(0, data.forces.f_o.size, 6):
-        largest = larger(largest, imbalance_of_object(data, W_o, at))
+    node, largest = data.forces.f_o.size, 0.0
+    if node == NODE:  # constants, of which compiled code makes better use
+        return imbalance_of_object(data, W_o, 0, NODE)
+    for at in range(0, node, 6):
+        largest = larger(largest, imbalance_of_object(data, W_o, at, node))
     return largest
 
 
 @inlined
-def imbalance_of_object(data, W_o, at):
-    """:func:`imbalance` of the object whose numbers of the node begin at ``at``."""
+def imbalance_of_object(data, W_o, at, node):
+    """:func:`imbalance` of the object whose numbers of the ``node`` begin at ``at``."""
     inertia, m = data.bodies.object_inertia, data.bodies.object_inertia[at, at]
     f_o, a_o, total = data.forces.f_o, data.accelerations.a_o, data.forces.total
     front, back = load_pack(f_o, at), load_pack(f_o, at + 2)  # six numbers, two of them twice
@@ -159,7 +162,7 @@ def imbalance_of_object(data, W_o, at):
         force = broadcast(data.rows.force[a])
         front = front + force * load_pack(W_o, place)
         back = back + force * load_pack(W_o, place + 2)
-        place += W_o.shape[1]
+        place += node
     store_pack(total, at, front)
     store_pack(total, at + 2, back)
     u, v, w = at + 3, at + 4, at + 5
