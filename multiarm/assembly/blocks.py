@@ -15,6 +15,8 @@ joints.  So are the fingers of a hand, each as cheap as an arm of its own.  Join
 
 with the joints between them in Pinocchio's order.
 
+Robots that are joined to each other are one block, with all their joints.
+
 The rows of a block's joints (stops, dry friction, couplings, wheels) follow the contacts of its
 only connection where a robot has several blocks, as those of an arm do; else their owner is the
 robot.  Since the rows of an owner stand together, blocks with such rows but without a connection of
@@ -23,7 +25,7 @@ their own, or with several, are one.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,43 +36,89 @@ from multiarm.dynamics.connections import Connection
 from multiarm.robots.robot import Robot
 
 
-class Block(NamedTuple):
-    """A range of a robot's joints, and its rows of W."""
+class RobotPart(NamedTuple):
+    """The joints that a block has of a robot."""
 
     robot: str
     joints: range  # of the robot, counted from 0
+    owner: str  # of the rows of these joints
+
+
+class Block(NamedTuple):
+    """Joints of a robot, or of robots that are joined to each other, and their connections."""
+
+    parts: tuple[RobotPart, ...]
     connections: tuple[str, ...]
-    owner: str  # of the rows of its joints
+
+    @property
+    def joint_count(self) -> int:
+        """Number of its joints."""
+        return sum(len(part.joints) for part in self.parts)
+
+    @property
+    def owners(self) -> list[str]:
+        """The owners of its rows in their order, of which some may have none."""
+        return list(dict.fromkeys((*self.connections, *(part.owner for part in self.parts))))
 
 
-def robot_blocks(
+def robots_together(names: Iterable[str], pairs: Iterable[Collection[str]]) -> list[list[str]]:
+    """Groups of robots that are joined to each other, most of them alone, in the order of names.
+
+    ``pairs`` are the robots of each connection, none, one or two.
+    """
+    group_of = {name: [name] for name in names}
+    for pair in pairs:
+        groups = {id(group_of[name]): group_of[name] for name in pair}
+        union = [name for group in groups.values() for name in group]
+        group_of.update(dict.fromkeys(union, union))
+    order = list(group_of)
+    groups = {id(group): sorted(group, key=order.index) for group in group_of.values()}
+    return list(groups.values())
+
+
+def blocks_of_group(
+    robots: Mapping[str, Robot],
+    connections: Sequence[Connection],
+    of_joints: Mapping[str, Iterable[JointRow | WheelRow]],
+    with_rows: Mapping[str, Collection[int]],
+) -> list[Block]:
+    """The blocks of robots that are joined to each other, or of a robot alone.
+
+    Parameters
+    ----------
+    robots : mapping of str to Robot
+    connections : sequence of Connection
+        Those in which one of them takes part, in any order.
+    of_joints : mapping of iterable of JointRow or WheelRow
+        By robot, of joints that copy others, and of wheels.
+    with_rows : mapping of collection of int
+        By robot, joints that have rows of their own, counted from 0.
+    """
+    if len(robots) == 1:
+        ((name, robot),) = robots.items()
+        return _blocks_of_robot(robot, connections, of_joints[name], with_rows[name])
+    parts = [RobotPart(name, range(robot.dof), name) for name, robot in robots.items()]
+    return [Block(tuple(parts), tuple(connection.name for connection in connections))]
+
+
+def _blocks_of_robot(
     arm: Robot,
     connections: Sequence[Connection],
     of_joints: Iterable[JointRow | WheelRow],
     with_rows: Collection[int],
 ) -> list[Block]:
-    """The blocks of a robot in the order of its joints.
-
-    Parameters
-    ----------
-    arm : Robot
-    connections : sequence of Connection
-        Those in which the robot takes part, in any order.
-    of_joints : iterable of JointRow or WheelRow
-        Of joints that copy others, and of wheels.
-    with_rows : collection of int
-        Joints that have rows of their own, counted from 0.
-    """
+    """The blocks of a robot in the order of its joints."""
     bounds = branch_bounds(arm, connections, of_joints)
     while True:
         blocks = [
             _block(arm, range(*ends), connections, whole=len(bounds) == 2)
             for ends in pairwise(bounds)
         ]
+        parts = [block.parts[0] for block in blocks]
         of_robot = [
             k
-            for k, block in enumerate(blocks)
-            if block.owner == arm.name and any(joint in block.joints for joint in with_rows)
+            for k, part in enumerate(parts)
+            if part.owner == arm.name and any(joint in part.joints for joint in with_rows)
         ]
         if len(of_robot) < 2:
             return blocks
@@ -109,4 +157,4 @@ def _block(arm: Robot, joints: range, connections: Sequence[Connection], whole: 
         if (moving[0] if moving else 0) in joints:
             names.append(connection.name)
     owner = names[0] if len(names) == 1 and not whole else arm.name
-    return Block(arm.name, joints, tuple(names), owner)
+    return Block((RobotPart(arm.name, joints, owner),), tuple(names))

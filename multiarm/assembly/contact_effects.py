@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from multiarm.assembly.blocks import Block
+from multiarm.assembly.blocks import Block, RobotPart
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
 from multiarm.errors import SceneError
@@ -70,12 +70,14 @@ def unilateral_constraints(
     rows, first = RowBuilder(), 0
     for block in blocks:
         # the rows of an owner stand together: those of an arm's joints follow its contacts
-        for owner in dict.fromkeys((*block.connections, block.owner)):
+        firsts = np.cumsum([first, *(len(part.joints) for part in block.parts)]).tolist()
+        for owner in block.owners:
             if owner in block.connections:
                 _add_connections(rows, [owner], contacts, parameters)
-            if owner == block.owner:
-                _add_joint_rows(rows, scene, block, first, laws)
-        first += len(block.joints)
+            for part, of_part in zip(block.parts, firsts, strict=False):
+                if owner == part.owner:
+                    _add_joint_rows(rows, scene, part, of_part, laws)
+        first = firsts[-1]
     _add_connections(rows, around, contacts, parameters)
     for name, body in scene.all_objects.items():
         rows.start(floor_owner(name, scene.all_objects))
@@ -124,23 +126,23 @@ def _add_connections(
 
 
 def _add_joint_rows(
-    rows: RowBuilder, scene: Scene, block: Block, first: int, laws: JointLaws
+    rows: RowBuilder, scene: Scene, part: RobotPart, first: int, laws: JointLaws
 ) -> None:
-    """Add the rows of a block's joints, of which ``first`` is the first one among all joints."""
-    robot = block.robot
+    """Add the rows of a part's joints, of which ``first`` is the first one among all joints."""
+    robot = part.robot
     limits, dry = list(laws.limits[robot].items()), laws.dry
-    rows.start(block.owner, robot)
+    rows.start(part.owner, robot)
     before = laws.of_bases[robot]
-    for number in block.joints:
+    for number in part.joints:
         if number < before:
             continue
         joint_name, limit = limits[number - before]
-        record, joint = JointRow(joint_name, number), first + number - block.joints.start
+        record, joint = JointRow(joint_name, number), first + number - part.joints.start
         rows.add_stops(record, joint, *_range(scene, robot, joint_name, limit))
         if dry is not None and dry[robot][number - before] > 0.0:
             rows.add_dry_friction(record, joint, float(dry[robot][number - before]))
     for row in laws.bilateral[robot]:
-        if row.joint in block.joints:
+        if row.joint in part.joints:
             rows.add_bilateral(row)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from multiarm.assembly.blocks import Block, branch_bounds, joints_of_connection, robot_blocks
+from multiarm.assembly.blocks import Block, blocks_of_group, branch_bounds, joints_of_connection
 from multiarm.assembly.contact_effects import (
     JointLaws,
     joints_with_rows,
@@ -102,7 +102,7 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> S
     of_joints = {name: _rows_of_joints(resolved) for name, resolved in robots.resolved.items()}
     laws = _joint_laws(scene, robots, contacts, of_joints)
     blocks = scene_blocks(scene, robots, connections, laws, of_joints)
-    around = [name for name, connection in connections.items() if not connection.robot]
+    around = [name for name, connection in connections.items() if not connection.robots]
     unilateral = None
     if laws is not None:
         unilateral = unilateral_constraints(scene, contacts, blocks, around, laws)
@@ -117,11 +117,11 @@ def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> S
             pair = connections[owner]
             first, second = robots.placement(pair.first), robots.placement(pair.second)
             on_links[owner] = [record.moved_on_bodies(first, second) for record in records[owner]]
-    starts = [*(block.joints.start for block in blocks), 0]
+    starts = [_first_in_block(block) for block in blocks]
     packed = pack(
         [
-            _in_block(record, starts[block])
-            for block, on_link in zip(layout.block_of, on_links.values(), strict=True)
+            _in_block(record, starts[block][owner]) if is_of_joint(record) else record
+            for block, (owner, on_link) in zip(layout.block_of, on_links.items(), strict=True)
             for record in on_link
         ]
     )
@@ -146,14 +146,26 @@ def _rows_of_joints(robot: ResolvedRobot) -> list[JointRow | WheelRow]:
     return [*couplings, *wheels]
 
 
-def _in_block(record: Any, start: int) -> Any:
-    """A record with joints counted from the first one of its block, ``start`` of the robot."""
+def is_of_joint(record: Any) -> bool:
+    """Whether a row belongs to joints of a robot."""
+    return isinstance(record, JointRow | WheelRow)
+
+
+def _first_in_block(block: Block) -> dict[str, int]:
+    """Place in a block of the first joint of the robot of each owner of joints' rows."""
+    places, before = {}, 0
+    for part in block.parts:
+        places[part.owner] = before - part.joints.start
+        before += len(part.joints)
+    return places
+
+
+def _in_block(record: JointRow | WheelRow, first: int) -> JointRow | WheelRow:
+    """A record with joints counted from the block's first one; the robot's has place ``first``."""
     if isinstance(record, WheelRow):
-        return replace(record, joint=record.joint - start)
-    if not isinstance(record, JointRow):
-        return record
-    leader = record.leader - start if record.leader >= 0 else -1
-    return replace(record, joint=record.joint - start, leader=leader)
+        return replace(record, joint=first + record.joint)
+    leader = first + record.leader if record.leader >= 0 else -1
+    return replace(record, joint=first + record.joint, leader=leader)
 
 
 def scene_blocks(
@@ -168,9 +180,9 @@ def scene_blocks(
     with_rows = {name: {row.joint for row in rows} for name, rows in of_joints.items()}
     if laws is not None:
         with_rows = joints_with_rows(scene, laws)
-    for name, arm in robots.by_name.items():
-        of_robot = [pair for pair in connections.values() if pair.robot == name]
-        blocks += robot_blocks(arm, of_robot, of_joints[name], with_rows[name])
+    for group in robots.groups(connections.values()):
+        of_group = [pair for pair in connections.values() if group.keys() & pair.robots]
+        blocks += blocks_of_group(group, of_group, of_joints, with_rows)
     return blocks
 
 
@@ -185,11 +197,12 @@ def _layout(
     block_of = {name: k for k, block in enumerate(blocks) for name in block.connections}
     # a robot is the owner of the rows of joints of one block at most
     rows_of_joints = {
-        block.owner: k
+        part.owner: k
         for k, block in enumerate(blocks)
+        for part in block.parts
         if any(
-            isinstance(record, JointRow | WheelRow) and record.joint in block.joints
-            for record in records.get(block.owner, ())
+            is_of_joint(record) and record.joint in part.joints
+            for record in records.get(part.owner, ())
         )
     }
     of_owners = [block_of.get(name, rows_of_joints.get(name, len(blocks))) for name in owners]
@@ -198,7 +211,7 @@ def _layout(
         objects=objects,
         names=tuple(robots.by_name),
         first_joint=_bounds([arm.dof for arm in robots.by_name.values()]),
-        first_joint_of_block=_bounds([*(len(block.joints) for block in blocks), *surroundings]),
+        first_joint_of_block=_bounds([*(block.joint_count for block in blocks), *surroundings]),
         owners=tuple(owners),
         first_contact=_bounds([len(records[name]) for name in owners]),
         block_of=tuple(of_owners),
@@ -217,30 +230,34 @@ def _bilateral(
     records: dict[str, list] = {}
     for block in blocks:
         records |= {name: list(contacts[name]) for name in block.connections}
-        of_block = [row for row in of_joints[block.robot] if row.joint in block.joints]
-        if of_block:
-            records.setdefault(block.owner, []).extend(of_block)
+        for part in block.parts:
+            of_part = [row for row in of_joints[part.robot] if row.joint in part.joints]
+            if of_part:
+                records.setdefault(part.owner, []).extend(of_part)
     return records | {name: list(contacts[name]) for name in around}
 
 
 def scene_connections(scene: Scene, robots: Robots) -> dict[str, Connection]:
     """The connections of a scene's joints in the order of the equations.
 
-    Those of a robot are together, in the robots' order, and so are those of a part of a robot that
-    shares no joint with others; those without a robot are last.
+    Those of a robot, or of robots that are joined to each other, are together, in the robots'
+    order, and so are those of a part of a robot that shares no joint with others; those without a
+    robot are last.
     """
     of_joints = [Connection(joint.connection, joint.first, joint.second) for joint in scene.joints]
     ordered: dict[str, Connection] = {}
-    for name, arm in robots.by_name.items():
-        of_robot = [connection for connection in of_joints if connection.robot == name]
-        bounds = branch_bounds(arm, of_robot, _rows_of_joints(robots.resolved[name]))
-        parts = [
-            [pair for pair in of_robot if _first_joint(arm, pair) in range(*ends)]
-            for ends in pairwise(bounds)
-        ]
-        of_robot = [pair for part in parts for pair in part]
-        ordered |= {connection.name: connection for connection in of_robot}
-    return ordered | {pair.name: pair for pair in of_joints if not pair.robot}
+    for group in robots.groups(of_joints):
+        of_group = [pair for pair in of_joints if group.keys() & pair.robots]
+        if len(group) == 1:
+            ((name, arm),) = group.items()
+            bounds = branch_bounds(arm, of_group, _rows_of_joints(robots.resolved[name]))
+            parts = [
+                [pair for pair in of_group if _first_joint(arm, pair) in range(*ends)]
+                for ends in pairwise(bounds)
+            ]
+            of_group = [pair for part in parts for pair in part]
+        ordered |= {connection.name: connection for connection in of_group}
+    return ordered | {pair.name: pair for pair in of_joints if not pair.robots}
 
 
 def _first_joint(arm: Robot, connection: Connection) -> int:

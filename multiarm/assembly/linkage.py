@@ -29,7 +29,7 @@ from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import arm_inertia_text, require_ok
+from multiarm.dynamics.failures import inertia_text, require_ok
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Model
 from multiarm.errors import MultiarmError, SolverError
@@ -154,7 +154,7 @@ class Linkage:
         try:
             return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
         except np.linalg.LinAlgError:
-            raise SolverError(arm_inertia_text(data.model, data.model.blocks[i])) from None
+            raise SolverError(inertia_text(data.model, i)) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""

@@ -162,12 +162,14 @@ def with_control(model: Model, control: ControlProgram) -> Model:
 def _trees(robots: Mapping[str, Robot], layout: Layout) -> dict[int, np.ndarray]:
     """``Model.trees``."""
     in_order, trees = list(robots.values()), {}
-    places = layout.places_of_blocks[: layout.blocks_of_robots.stop]
-    for block, (robot, first) in enumerate(places):
-        parents = in_order[robot].parent_numbers[first : first + layout.joint_counts[block]]
-        parents = np.maximum(parents - first, -1)
-        if pays_as_tree(parents):
-            trees[block] = parents
+    for block in layout.blocks_of_robots:
+        before, parents = 0, []
+        for robot, first, count in layout.parts_of_blocks[block]:
+            of_part = in_order[robot].parent_numbers[first : first + count] - first
+            parents.append(np.where(of_part >= 0, of_part + before, -1))
+            before += count
+        if pays_as_tree(of_block := np.concatenate(parents)):
+            trees[block] = of_block
     return trees
 
 

@@ -125,7 +125,7 @@ def _rigid_connections(data: Data, start: State) -> set[str]:
             for c in layout.owners_of_robot(i)
         }
         for name, pair in model.connections.items():
-            if pair.robot != robot or not pair.on_object:
+            if pair.robots != (robot,) or not pair.on_object:
                 continue
             angles, rates = start.joint_positions[robot], start.joint_velocities[robot]
             J = arm.tip_kinematics(angles, rates, pair.first.tip).jacobian

@@ -3,7 +3,9 @@
 A scene says ``posture: solve``, or gives no posture where the joints of a robot at zero leave its
 tips far from their places.  The posture is then the best one that closes its connections: of an arm
 that only holds the object (:mod:`multiarm.assembly.arm_postures`), or of a robot with several
-connections (:mod:`multiarm.assembly.robot_postures`).
+connections (:mod:`multiarm.assembly.robot_postures`).  Robots that are joined to each other are
+found one after the other: each reaches the links of those before it, and of those whose postures
+are written.
 
 Where its links overlap the object or the links of other robots, or links on two of its branches
 each other (:mod:`multiarm.assembly.collisions`), the best is taken of those that do not.  Links of
@@ -12,7 +14,7 @@ one chain are not compared with each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Protocol
 
@@ -24,6 +26,7 @@ from multiarm.assembly.robot_postures import RobotPostureSearch
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene
+from multiarm.scene.bodies import BodyName
 from multiarm.scene.faults import Parts, fault_at
 from multiarm.scene.joint_values import SOLVE
 
@@ -66,33 +69,42 @@ def find_postures(
     searches: dict[str, Search] = {}
     solved: dict[str, np.ndarray] = {}
     faults = []
-    bodies = (body for joint in scene.joints for body in (joint.first, joint.second))
-    for name in dict.fromkeys(body.robot for body in bodies if body.is_link):
+    sought = [name for name in _robots_in_joints(scene) if _is_sought(scene, arms[name])]
+    # where the robots are that others may reach for
+    known = {name: robot.posture for name, robot in resolved.items() if name not in sought}
+    while sought:
+        reachable = [name for name in sought if _joints_of(scene, name, known)]
+        name = (reachable or sought)[0]
+        sought.remove(name)
         where, posture = posture_of(scene, name)
-        if posture not in (None, SOLVE):
+        joints = _joints_of(scene, name, known)
+        known[name] = resolved[name].posture
+        if not joints and posture is None:
             continue
-        if arms[name].floats and posture is None:  # assembly moves the base too
-            continue
-        joints = _joints_of(scene, name)
         placed = {number: joint for number, joint in joints.items() if joint.at is not None}
         places = ", ".join(f"$.joints[{number}].at" for number in placed or joints)
         if not placed:
             if posture == SOLVE:
                 problem = f"'solve' needs the joint's place on the object: give {places}"
+                if not joints:
+                    problem = "'solve' needs a joint with what has a place; write the posture"
                 faults.append(fault_at(where, problem))
             continue
-        search = _search_of(scene, [*placed.values()], arms[name], resolved[name])
+        at_rest = partial(_pose_of_link, arms, dict(known))
+        search = _search_of(scene, [*placed.values()], arms[name], resolved[name], at_rest)
         if search is None:
             continue
         positions = search.best()
         if positions is None:
             faults.append(fault_at(where, f"{search.why_none()} ({places})"))
         else:
-            searches[name], solved[name] = search, positions
+            searches[name], solved[name], known[name] = search, positions, positions
     if faults:
         raise SceneError(faults)
-    written = {name: robot.posture for name, robot in resolved.items()}
-    return _out_of_the_way(scene, arms, searches, {**written, **solved}) if solved else {}
+    # others reach for robots that are joined to them, which stay where they are
+    joined = {body.robot for joint in scene.joints for body in _links_of_two(joint)}
+    alone = {name: search for name, search in searches.items() if name not in joined}
+    return solved | (_out_of_the_way(scene, arms, alone, known) if alone else {})
 
 
 def posture_of(scene: Scene, name: str) -> tuple[Parts, object]:
@@ -102,28 +114,62 @@ def posture_of(scene: Scene, name: str) -> tuple[Parts, object]:
     return ("robots", name, "posture"), scene.robots[name].posture
 
 
-def _joints_of(scene: Scene, name: str) -> dict[int, JointSpec]:
-    """The joints that connect links of a robot, by their numbers in the scene."""
+def _robots_in_joints(scene: Scene) -> list[str]:
+    """The robots whose links joints connect, each once, in the order of the joints."""
+    bodies = (body for joint in scene.joints for body in (joint.first, joint.second))
+    return list(dict.fromkeys(body.robot for body in bodies if body.is_link))
+
+
+def _is_sought(scene: Scene, arm: Robot) -> bool:
+    """Whether a robot's posture is left to the program; assembly moves a base that floats too."""
+    posture = posture_of(scene, arm.name)[1]
+    return posture == SOLVE or (posture is None and not arm.floats)
+
+
+def _links_of_two(joint: JointSpec) -> list[BodyName]:
+    """The two links of a joint between two robots; none of another joint."""
+    bodies = joint.first, joint.second
+    return [*bodies] if len({body.robot for body in bodies} - {""}) == 2 else []
+
+
+def _joints_of(scene: Scene, name: str, known: Collection[str]) -> dict[int, JointSpec]:
+    """The joints that connect links of a robot, by their numbers in the scene.
+
+    Those with another robot where it is ``known`` where that is.
+    """
     return {
         number: joint
         for number, joint in enumerate(scene.joints)
         if name in (joint.first.robot, joint.second.robot)
+        and all(body.robot in (name, *known) for body in _links_of_two(joint))
     }
 
 
+def _pose_of_link(
+    arms: Mapping[str, Robot], postures: Mapping[str, np.ndarray], body: BodyName
+) -> np.ndarray:
+    """Pose (4, 4) of a link of a robot, at its posture."""
+    return arms[body.robot].tip_pose(postures[body.robot], body.tip)
+
+
 def _search_of(
-    scene: Scene, joints: list[JointSpec], arm: Robot, resolved: ResolvedRobot
+    scene: Scene,
+    joints: list[JointSpec],
+    arm: Robot,
+    resolved: ResolvedRobot,
+    at_rest: Callable[[BodyName], np.ndarray],
 ) -> Search | None:
     """The search for the posture of a robot with joints that have places.
 
-    None where its posture is not asked for, and the written one leaves gaps that assembly closes.
+    ``at_rest`` gives the poses of other robots' links.  None where its posture is not asked for,
+    and the written one leaves gaps that assembly closes.
     """
     wanted = posture_of(scene, arm.name)[1] == SOLVE
     alone = "" in arm.tips and not arm.floats
     if alone and len(joints) == 1 and joints[0].second.is_object:
         wanted = wanted or _is_far(scene, joints[0], arm, resolved.posture)
         return PostureSearch.of_joint(scene, joints[0], arm) if wanted else None
-    search = RobotPostureSearch.of_robot(scene, joints, arm, resolved)
+    search = RobotPostureSearch.of_robot(scene, joints, arm, resolved, at_rest)
     gaps = search.distances(resolved.posture)
     listed = {joint.connection for joint in joints if joint.as_listed}  # may be anywhere
     far = any(gap > NEAR * search.longest for name, gap in gaps.items() if name not in listed)

@@ -90,13 +90,21 @@ class RobotPostureSearch:
 
     @classmethod
     def of_robot(
-        cls, scene: Scene, joints: Sequence[JointSpec], arm: Robot, resolved: ResolvedRobot
+        cls,
+        scene: Scene,
+        joints: Sequence[JointSpec],
+        arm: Robot,
+        resolved: ResolvedRobot,
+        at_rest: Callable[[BodyName], np.ndarray],
     ) -> RobotPostureSearch:
-        """The search that joints of a robot ask for, all of which have a place."""
+        """The search that joints of a robot ask for, all of which have a place.
+
+        ``at_rest`` gives the poses of other robots' links.
+        """
         number = {name: k for k, name in enumerate(arm.joint_names)}
         return cls(
             structure=arm.structure().standing_on(_base_of(arm)) if arm.floats else arm.structure(),
-            targets={joint.connection: target_of(scene, joint, arm) for joint in joints},
+            targets={joint.connection: target_of(scene, joint, arm, at_rest) for joint in joints},
             limits=arm.position_limits,
             written=resolved.posture,
             base=arm.files.base,
@@ -246,8 +254,13 @@ class RobotPostureSearch:
         return clear
 
 
-def target_of(scene: Scene, joint: JointSpec, arm: Robot) -> Target:
-    """The two frames that a joint of a robot brings together, z the joint's axis."""
+def target_of(
+    scene: Scene, joint: JointSpec, arm: Robot, at_rest: Callable[[BodyName], np.ndarray]
+) -> Target:
+    """The two frames that a joint of a robot brings together, z the joint's axis.
+
+    The first one is on a link of the robot.  Which motions are free is the same for both.
+    """
     assert joint.at is not None, "the joint has a place"
     turn = np.eye(4)
     turn[:3, :3] = basis(joint.z_axis)
@@ -255,16 +268,20 @@ def target_of(scene: Scene, joint: JointSpec, arm: Robot) -> Target:
     at_second = joint.at.matrix() @ turn
     if joint.second.is_object:
         at_second = scene.all_objects[joint.second.tip].pose.matrix() @ at_second
-    first, second = (
-        _link_frame(arm, body, pose)
-        for body, pose in ((joint.first, at_first), (joint.second, at_second))
-    )
+    pairs = [(joint.first, at_first), (joint.second, at_second)]
+    if joint.first.robot != arm.name:
+        pairs.reverse()
+    first, second = (_link_frame(arm, body, pose, at_rest) for body, pose in pairs)
     return Target(first, second, tuple(joint.free or ()))
 
 
-def _link_frame(arm: Robot, body: BodyName, pose: np.ndarray) -> LinkFrame:
+def _link_frame(
+    arm: Robot, body: BodyName, pose: np.ndarray, at_rest: Callable[[BodyName], np.ndarray]
+) -> LinkFrame:
     if not body.is_link:  # it is at rest
         return LinkFrame(-1, pose)
+    if body.robot != arm.name:
+        return LinkFrame(-1, at_rest(body) @ pose)
     tip, frame = arm.tips[body.tip], np.eye(4)
     frame[:3, :3], frame[:3, 3] = tip.rotation, tip.translation
     if tip.chain.size == arm.base_dof:  # on the base

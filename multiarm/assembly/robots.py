@@ -5,13 +5,16 @@ Arms that another system (``like``) has too are shared with it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from multiarm.assembly.bases import Standing, find_bases
+from multiarm.assembly.blocks import robots_together
 from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
+from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError
 from multiarm.geometry.records import Placement
@@ -45,6 +48,11 @@ class Robots:
         if not body.is_link:
             return np.eye(4)
         return self.by_name[body.robot].tip_pose(self.postures[body.robot], body.tip)
+
+    def groups(self, connections: Iterable[Connection]) -> list[dict[str, Robot]]:
+        """The robots in groups that are joined to each other; most are alone."""
+        groups = robots_together(self.by_name, (pair.robots for pair in connections))
+        return [{name: self.by_name[name] for name in group} for group in groups]
 
     def placement(self, body: BodyName) -> Placement | None:
         """Of a tip on the joint that carries it: rotation, translation; None of another body."""
@@ -97,7 +105,7 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
             and like.scene.links_in_joints(name) == scene.links_in_joints(name)
         )
     resolved, robots = {}, {}
-    for name in (*scene.arms, *scene.robots):
+    for name in robots_in_order(scene):
         if like is not None and name in shared:
             resolved[name], robots[name] = like.model.resolved_robots[name], like.model.robots[name]
         else:
@@ -107,6 +115,14 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
     if seek:
         postures |= find_postures(scene, robots, resolved)
     return Robots(resolved, robots, postures, shared)
+
+
+def robots_in_order(scene: Scene) -> list[str]:
+    """The robots in the order of the equations: as written, those joined to each other together."""
+    bodies = ((joint.first, joint.second) for joint in scene.joints)
+    pairs = ({body.robot for body in pair if body.is_link} for pair in bodies)
+    groups = robots_together((*scene.arms, *scene.robots), pairs)
+    return [name for group in groups for name in group]
 
 
 def _resolved(scene: Scene, name: str) -> ResolvedRobot:
@@ -121,8 +137,8 @@ def _resolved(scene: Scene, name: str) -> ResolvedRobot:
 def backends_of(scene: Scene, robots: Robots, like: System | None = None) -> Backends:
     """Backends of the dynamics; shared where ``like`` has equal robots."""
     gravity, with_torque = gravity_of(scene), needs_gravity_torque(scene)
-    names = [*scene.arms, *scene.robots]
-    if like is not None and list(robots.shared) == names == list(like.model.robots):
+    names = robots_in_order(scene)
+    if like is not None and {*robots.shared} == {*names} and names == list(like.model.robots):
         same_gravity = scene.gravity == like.scene.gravity
         same_backends = scene.run.arms == like.scene.run.arms
         same_terms = with_torque == needs_gravity_torque(like.scene)

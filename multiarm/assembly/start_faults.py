@@ -87,7 +87,11 @@ def largest_gaps(data: Data) -> list[LargestGap]:
             worst = rows[int(np.argmax(magnitudes[rows]))]
             name = owner
             if kind is JointRow:
-                name = layout.names[layout.robot_of_block[layout.block_of[c]]]
+                name = (
+                    owner
+                    if owner in layout.names
+                    else layout.robots_of_block(layout.block_of[c])[0]
+                )
             largest.append(LargestGap(name, records[worst], float(magnitudes[worst])))
     return largest
 

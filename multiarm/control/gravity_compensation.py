@@ -114,11 +114,11 @@ def carry_with_bases(model, data, work):
         copy(W_o[k], directions[k, :node])
     for b in range(bases.size):
         i, at = model.floating_bases.block[b], node + BASE_DOF * b
-        first = work.first_contact[i]
+        first, joint = work.first_contact[i], bases[b] - work.first_joint[i]
         for l in range(BASE_DOF):
             wrenches[at + l] = data.control.gravity_torque[bases[b] + l]
             for k in range(first, work.first_contact[i + 1]):
-                directions[k, at + l] = work.W[i, l, k - first]
+                directions[k, at + l] = work.W[i, joint + l, k - first]
     static_forces(directions, wrenches, data.rows.static_force)
 
 

@@ -31,9 +31,9 @@ class Connection:
     second: BodyName
 
     @property
-    def robot(self) -> str:
-        """The robot that takes part; empty where there is none."""
-        return self.first.robot or self.second.robot
+    def robots(self) -> tuple[str, ...]:
+        """The robots whose links take part: none, one or two."""
+        return tuple(dict.fromkeys(body.robot for body in (self.first, self.second) if body.robot))
 
     @property
     def on_object(self) -> bool:

@@ -187,12 +187,12 @@ def scaled_force_directions(data: Evaluated) -> np.ndarray:
     return force_directions(data) / scale[:, None]
 
 
-def robot_inertia(data: Evaluated, i: int) -> np.ndarray:
-    """Inertia of a robot's joints, block diagonal by its blocks, symmetric, shape (n_i, n_i)."""
+def group_inertia(data: Evaluated, robots: range) -> np.ndarray:
+    """Inertia of the joints of one of ``Layout.robot_groups``, symmetric, shape (n, n)."""
     layout = data.model.layout
-    blocks, first = layout.blocks_of(i), layout.first_joint[i]
-    inertia = np.zeros((layout.joints_of(i).stop - first,) * 2)
-    for block in blocks:
+    first, end = layout.first_joint[robots.start], layout.first_joint[robots.stop]
+    inertia = np.zeros((end - first,) * 2)
+    for block in range(layout.blocks_of(robots[0]).start, layout.blocks_of(robots[-1]).stop):
         d = layout.joints_of_block(block)
         part = slice(d.start - first, d.stop - first)
         lower = np.tril(data.work.M[block, : d.stop - d.start, : d.stop - d.start])

@@ -44,11 +44,12 @@ from multiarm.dynamics.variables import (
 from multiarm.geometry.records import SmoothShape
 from multiarm.jit.lazy import LazyFunction
 from multiarm.jit.pointers import GuardedCall, PythonCallback, address_of
-from multiarm.jit.rows import fields_of, width
+from multiarm.jit.rows import fields_of
 from multiarm.jit.structs import struct_of
 from multiarm.public import public_names
 from multiarm.robots.backends import Ground
-from multiarm.robots.terms import Coriolis, MatrixAddress, matrix_of_block, terms_of_block
+from multiarm.robots.joined import JoinedMatrix, JoinedTerms, MatrixCopy, table_of_copies
+from multiarm.robots.terms import Coriolis, MatrixAddress, TermAddresses
 
 
 class Evaluated(Protocol):
@@ -92,6 +93,7 @@ class SharedData:
     def __init__(self, model: Model) -> None:
         constants, layout = model.constants, model.layout
         self._backends, self._ground = model.backends.copy(), Ground()
+        self._joined: list[JoinedTerms | JoinedMatrix] = []  # of blocks of several robots
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self.guards = make_guards(model.guards, range(layout.contacts))
@@ -106,8 +108,11 @@ class SharedData:
             passive=constants.passive_end > 0,
             contact_states=[len(states.get(owner, ())) for owner in layout.owners],
         )
+        terms, copies = self._term_addresses(layout)
         pointers = Pointers(
-            terms=self._term_addresses(layout),
+            terms=terms,
+            bases=self._backends.pointers[list(layout.floating_robots)],
+            copies=copies,
             links=self._backends.link_pointers,
             poses=[self._backends.pose_address(*link) for link in model.effect_links],
         )
@@ -136,11 +141,18 @@ class SharedData:
             self.calls.add(surface)
             v.search.user.callback = surface.address
 
-    def _term_addresses(self, layout: Layout) -> np.ndarray:
-        """``Variables.bodies.pointers``; the surroundings are a robot without joints."""
-        pointers = [*self._backends.pointers, self._ground.pointers]
-        terms = [terms_of_block(pointers[robot], first) for robot, first in layout.places_of_blocks]
-        return np.array(terms, dtype=np.int64)
+    def _term_addresses(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """``BodyVariables.pointers``, ``copies``; the surroundings are a robot without joints."""
+        copies: list[MatrixCopy] = []
+        robots, of_blocks = [TermAddresses(*row) for row in self._backends.pointers.tolist()], []
+        for parts in layout.parts_of_blocks:
+            terms = [robots[part.robot].from_joint(part.first) for part in parts]
+            if len(parts) > 1:
+                block = JoinedTerms(terms, [part.joints for part in parts])
+                self._joined.append(block)
+                terms, copies = [block.addresses], copies + block.copies
+            of_blocks += terms or [self._ground.addresses]
+        return np.array(of_blocks, dtype=np.int64), table_of_copies(copies)
 
     def _add_callback(self, name: str, callback: GuardedCall) -> None:
         self.callbacks[name] = callback
@@ -150,12 +162,17 @@ class SharedData:
     def coriolis(self, layout: Layout) -> tuple[Coriolis, GuardedCall | None]:
         """See :meth:`multiarm.robots.backends.Backends.coriolis`; the matrices are of blocks."""
         coriolis, call = self._backends.coriolis(self.arrays.status)
-        nowhere = np.zeros(width(MatrixAddress), dtype=np.int64)
-        robots = [*coriolis.matrices, nowhere]
-        of_blocks = [
-            matrix_of_block(robots[robot], first) for robot, first in layout.places_of_blocks
-        ]
-        return Coriolis(coriolis.calls, np.array(of_blocks, dtype=np.int64)), call
+        robots, of_blocks = [MatrixAddress(*row) for row in coriolis.matrices.tolist()], []
+        copies: list[MatrixCopy] = []
+        for parts in layout.parts_of_blocks:
+            matrices = [robots[part.robot].from_joint(part.first) for part in parts]
+            if len(parts) > 1:
+                block = JoinedMatrix(matrices, [part.joints for part in parts])
+                self._joined.append(block)
+                matrices, copies = [block.address], copies + block.copies
+            of_blocks += matrices or [MatrixAddress(at=0, stride=0)]
+        table = np.array(of_blocks, dtype=np.int64)
+        return Coriolis(coriolis.calls, table, table_of_copies(copies)), call
 
 
 class RowData(NamedTuple):

@@ -104,7 +104,7 @@ def is_serial_arm(data: Evaluated, robot: str) -> bool:
 
 
 def _connections(data: Evaluated, robot: str) -> list[str]:
-    return [name for name, pair in data.model.connections.items() if pair.robot == robot]
+    return [name for name, pair in data.model.connections.items() if robot in pair.robots]
 
 
 def _of_combination(data: Evaluated, robot: str, forces: np.ndarray) -> str:
@@ -265,12 +265,13 @@ def _redundant(data: Evaluated, connection: str) -> tuple[str, ...]:
 def _hold(data: Evaluated, connection: str) -> _Hold | None:
     """Contact wrenches and their joint torques; None when a contact has no normal.
 
-    None too where the base floats: what moves with it is not said in terms of joints.
+    None too where the base floats, or two robots are joined: what moves with them is not said in
+    terms of the joints of one.
     """
     layout, pair = data.model.layout, data.model.connections[connection]
-    i, arm = layout.names.index(pair.robot), data.model.robots[pair.robot]
-    if arm.floats:
+    if len(pair.robots) != 1 or data.model.robots[pair.robots[0]].floats:
         return None
+    i, arm = layout.names.index(pair.robots[0]), data.model.robots[pair.robots[0]]
     d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))
     first = layout.contacts_of_robot(i).start
     W = robot_matrix(data, i)[:, r.start - first : r.stop - first]

@@ -168,13 +168,12 @@ def _make_work(data: Data, columns: int, placements: int) -> EquationWork:
     return work
 
 
-def structures_of_blocks(arms: Iterable[Robot], layout: Layout) -> list[TreeStructure]:
-    """Structure of the joints of each block of the robots."""
-    of_robots = [arm.structure() for arm in arms]
-    places, counts = layout.places_of_blocks, layout.joint_counts
+def structures_of_blocks(arms: Iterable[Robot], layout: Layout) -> list[list[TreeStructure]]:
+    """Structures of the joints of each block of the robots, a tree of each robot."""
+    robots = [arm.structure() for arm in arms]
+    blocks = layout.parts_of_blocks[: layout.blocks_of_robots.stop]
     return [
-        of_robots[robot].part(first, counts[i])
-        for i, (robot, first) in enumerate(places[: layout.blocks_of_robots.stop])
+        [robots[robot].part(first, joints) for robot, first, joints in block] for block in blocks
     ]
 
 

@@ -130,7 +130,7 @@ def kinematics(address, size, _a, _b):
     """Compute what :func:`update_kinematics` describes."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    block_terms(model, data, work)
+    block_terms(model, data)
     if data.status.failed:
         return CALLBACK_FAILED
     object_terms(model, data)

@@ -45,10 +45,10 @@ def failure_text(data: Data, status: int) -> str:
     if lost:
         return lost
     if status == BLOCK_INERTIA:
-        return arm_inertia_text(data.model, _block_that_failed(data))
+        return inertia_text(data.model, data.arrays.status.block)
     if status == BLOCK_NOT_FINITE:
         return (
-            f"numbers of {owner_of(data.model, _block_that_failed(data))} are not finite; take "
+            f"numbers of {block_text(data.model, data.arrays.status.block)} are not finite; take "
             f"smaller steps, or check its URDF and the controller"
         )
     if status == OBJECT_INERTIA:
@@ -75,14 +75,14 @@ def failure_text(data: Data, status: int) -> str:
     return f"the evaluation failed (status {status})"
 
 
-def arm_inertia_text(model: Model, robot: str) -> str:
-    """Why the inertia matrix of a robot has no factors, and what to do."""
-    arm = model.robots[robot]
-    base = ""
-    if arm.files.base_joints or arm.files.base_floats:
+def inertia_text(model: Model, block: int) -> str:
+    """Why the inertia matrix of a block has no factors, and what to do."""
+    robots, base = model.layout.robots_of_block(block), ""
+    files = [model.robots[robot].files for robot in robots]
+    if any(of_robot.base_joints or of_robot.base_floats for of_robot in files):
         base = ", or give the base its own with `base: {mass: ..., inertia: ...}`"
     return (
-        f"the inertia matrix of {owner_of(model, robot)} is not positive definite: a joint moves "
+        f"the inertia matrix of {block_text(model, block)} is not positive definite: a joint moves "
         f"links without mass or inertia; give them some in the URDF, or lock the joint{base}"
     )
 
@@ -102,6 +102,12 @@ def owner_of(model: Model, name: str) -> str:
     return model.robots[name].text
 
 
+def block_text(model: Model, block: int) -> str:
+    """A block in words: its robots; of the surroundings the owners of their rows."""
+    robots = model.layout.robots_of_block(block)
+    return " and ".join(owner_of(model, name) for name in robots or [model.blocks[block]])
+
+
 def joint_of(model: Model, connection: str) -> str:
     """The joint of a connection in words: ``the joint of arm 'left'``, ``joint 'cart/left'``."""
     return joint_text(model.connections[connection])
@@ -112,10 +118,6 @@ def joint_text(pair: Connection) -> str:
     if is_tip_of_arm(pair):
         return f"the joint of arm '{pair.name}'"
     return f"joint '{pair.name}'"
-
-
-def _block_that_failed(data: Data) -> str:
-    return data.model.blocks[data.arrays.status.block]
 
 
 def _kernel_text(data: Data) -> str:

@@ -47,13 +47,14 @@ from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.dynamics.connections import Connection
-from multiarm.dynamics.contact_geometry import relative_motion, robot_inertia, robot_matrix
+from multiarm.dynamics.contact_geometry import force_directions, group_inertia, relative_motion
 from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
+from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.model import Model, require_one_object
 from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.solver.factors import rank_of
@@ -173,23 +174,25 @@ def _solve(
     force = _contact_forces(data, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
     a_j, torque = np.zeros(layout.rate_count), np.zeros(layout.rate_count)
     missed = _missed_by_the_object(data, c, desired)
-    for i, name in enumerate(layout.names):
-        d, r = layout.joints_of(i), layout.contacts_of_robot(i)
-        M, W = robot_inertia(data, i), robot_matrix(data, i)
-        A, a = _desired_motion(data, i, ev, desired, relative)
-        if i in layout.floating_robots:
-            base = _BaseBalance.of(M[:6], W[:6], _holds_base(data.model, name))
-            other = free[d][:6] + W[:6] @ force[r]
-            A, a = np.vstack([A, base.across @ M[:6]]), np.append(a, base.across @ other)
-        a_j[d], left = _nearest(M, A, a, posture[name])
-        if i in layout.floating_robots:
-            force[r][base.carriers] = base.forces(M[:6] @ a_j[d] - other)
+    for robots in layout.robot_groups:
+        group = _Group.of(data, robots)
+        d, r, names = group.joints, group.rows, [layout.names[i] for i in robots]
+        A, a = _desired_motion(data, group, ev, desired, relative)
+        base = _BaseBalance.of(data, group)
+        other = free[d][base.rows] + group.W[base.rows] @ force[r]
+        A = np.vstack([A, base.across @ group.M[base.rows]])
+        a = np.append(a, base.across @ other)
+        preferred = np.concatenate([posture[name] for name in names])
+        a_j[d], left = _nearest(group.M, A, a, preferred)
+        force[r][base.carriers] = base.forces(group.M[base.rows] @ a_j[d] - other)
         if left > MISSED_MOTION * (1.0 + np.max(np.abs(a), initial=0.0)):
-            missed.append(
-                f"{_noun(data.model, name)} '{name}' ({_freedom(data.model.robots[name])}) misses "
-                f"it by {left:.3g} m/s^2, rad/s^2"
+            robots_in_words = " and ".join(
+                f"{_noun(data.model, name)} '{name}' ({_freedom(data.model.robots[name])})"
+                for name in names
             )
-        torque[d] = M @ a_j[d] - free[d] - W @ force[r]
+            verb = "miss" if len(names) > 1 else "misses"
+            missed.append(f"{robots_in_words} {verb} it by {left:.3g} m/s^2, rad/s^2")
+        torque[d] = group.M @ a_j[d] - free[d] - group.W @ force[r]
     if missed:
         key = "arm" if set(data.model.connections) == set(data.model.robots) else "connection"
         raise SolverError(
@@ -212,37 +215,65 @@ def _freedom(robot: Robot) -> str:
     return f"{joints}; its base floats" if robot.floats else joints
 
 
-class _BaseBalance(NamedTuple):
-    """The equations of a floating base, which joints with the world hold or do not hold.
+class _Group(NamedTuple):
+    """Robots that are joined to each other, or one alone."""
 
-    They are divided by the inertia of the base, so that all six are accelerations.
-    """
-
-    carriers: np.ndarray  # the rows of these joints among those of the robot
-    scale: np.ndarray  # (6,) one over the inertia
-    directions: np.ndarray  # (6, k) accelerations by unit forces of these rows
-    across: np.ndarray  # (6 - r, 6) of forces, along which none of these rows acts
+    first: dict[str, int]  # of the joints of each robot among those of the group
+    joints: slice  # among all joints
+    rows: slice  # among all rows
+    M: np.ndarray  # (n, n)
+    W: np.ndarray  # (n, N)
 
     @classmethod
-    def of(cls, M_b: np.ndarray, W_b: np.ndarray, carriers: np.ndarray) -> _BaseBalance:
-        scale = 1.0 / np.diag(M_b)
-        directions = scale[:, None] * W_b[:, carriers]
+    def of(cls, data: Data, robots: range) -> _Group:
+        layout, W = data.model.layout, force_directions(data)
+        of_robots = {layout.names[i]: layout.joints_of(i) for i in robots}
+        joints = slice(layout.first_joint[robots[0]], layout.first_joint[robots[-1] + 1])
+        begin, end = (layout.contacts_of_robot(i) for i in (robots[0], robots[-1]))
+        rows = slice(begin.start, end.stop)
+        first = {name: d.start - joints.start for name, d in of_robots.items()}
+        M = group_inertia(data, robots)
+        return cls(first, joints, rows, M, W[layout.of_joints][joints, rows])
+
+
+class _BaseBalance(NamedTuple):
+    """The equations of floating bases, which joints with the world hold or do not hold.
+
+    They are divided by the inertia of the bases, so that all are accelerations.
+    """
+
+    rows: np.ndarray  # (6 b,) of the bases among the joints of the group
+    carriers: np.ndarray  # the rows of these joints among those of the group
+    scale: np.ndarray  # (6 b,) one over the inertia
+    directions: np.ndarray  # (6 b, k) accelerations by unit forces of these rows
+    across: np.ndarray  # (6 b - r, 6 b) of forces, along which none of these rows acts
+
+    @classmethod
+    def of(cls, data: Data, group: _Group) -> _BaseBalance:
+        robots = data.model.robots
+        firsts = [first for name, first in group.first.items() if robots[name].floats]
+        carriers = _carriers(data.model, group) if firsts else np.zeros(0, dtype=int)
+        rows = np.add.outer(np.array(firsts, dtype=int), np.arange(TWIST)).ravel()
+        scale = 1.0 / np.diag(group.M)[rows]
+        directions = scale[:, None] * group.W[np.ix_(rows, carriers)]
         u, singular, _ = np.linalg.svd(directions)
         across = u[:, rank_of(singular, BLOCK_RANK_TOLERANCE) :].T * scale
-        return cls(carriers, scale, directions, across)
+        return cls(rows, carriers, scale, directions, across)
 
     def forces(self, wanted: np.ndarray) -> np.ndarray:
-        """Forces of least norm of the joints with the world for a wrench (6,) on the base."""
+        """Forces of least norm of the joints with the world for wrenches (6 b,) on the bases."""
         return np.linalg.lstsq(self.directions, self.scale * wanted, rcond=BLOCK_RANK_TOLERANCE)[0]
 
 
-def _holds_base(model: Model, robot: str) -> np.ndarray:
-    """Rows of a robot, counted from its first one, of its joints with the world."""
-    layout, rows = model.layout, []
-    first = layout.contacts_of_robot(layout.names.index(robot)).start
+def _carriers(model: Model, group: _Group) -> np.ndarray:
+    """Rows of a group, counted from its first one, that carry floating bases.
+
+    They are those of its joints with the world.
+    """
+    layout, rows, first = model.layout, [], group.rows.start
     for name, pair in model.connections.items():
         of_pair = layout.contacts_of(layout.owners.index(name))
-        if pair.robot == robot and WORLD in (pair.first, pair.second):
+        if group.first.keys() & pair.robots and WORLD in (pair.first, pair.second):
             records = zip(range(of_pair.start, of_pair.stop), model.records[of_pair], strict=True)
             rows += [k - first for k, record in records if isinstance(record, Contact)]
     return np.array(rows, dtype=int)
@@ -256,7 +287,7 @@ def _missed_by_the_object(data: Data, c: np.ndarray, desired: np.ndarray) -> lis
     """What of the object's acceleration its joints with the world forbid, in words."""
     model, missed = data.model, []
     for name, pair in model.connections.items():
-        if pair.robot:
+        if pair.robots:
             continue
         rows = model.layout.contacts_of(model.layout.owners.index(name))
         against = np.abs(data.arrays.rows.W_o[rows] @ desired - c[rows])
@@ -267,28 +298,27 @@ def _missed_by_the_object(data: Data, c: np.ndarray, desired: np.ndarray) -> lis
 
 def _desired_motion(
     data: Data,
-    i: int,
+    group: _Group,
     ev: Evaluation,
     object_acceleration: np.ndarray,
     relative: Mapping[str, np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of robot ``i``."""
-    model, robot = data.model, data.model.layout.names[i]
-    rows = model.layout.contacts_of_robot(i)
+    """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of a group."""
+    model = data.model
     equations = [
-        _motion_of_first(model, pair, ev, object_acceleration, relative[name])
+        _motion_of_first(model, pair, ev, group, object_acceleration, relative[name])
         for name, pair in model.connections.items()
-        if pair.robot == robot
+        if group.first.keys() & pair.robots
     ]
-    of_joints = [isinstance(record, JointRow | WheelRow) for record in model.records[rows]]
-    bias = data.contact_rows.gap_bias[rows]
-    equations.append((robot_matrix(data, i)[:, of_joints].T, -bias[of_joints]))
+    of_joints = [isinstance(record, JointRow | WheelRow) for record in model.records[group.rows]]
+    bias = data.contact_rows.gap_bias[group.rows]
+    equations.append((group.W[:, of_joints].T, -bias[of_joints]))
     A, a = zip(*equations, strict=True)
     return np.vstack(A), np.concatenate(a)
 
 
 class _Frame(NamedTuple):
-    """A frame of a connection, by the joint accelerations of its robot, world axes."""
+    """A frame of a connection, by the joint accelerations of its robots, world axes."""
 
     rotation: np.ndarray  # (3, 3)
     twist: np.ndarray  # (6,)
@@ -297,14 +327,20 @@ class _Frame(NamedTuple):
 
 
 def _frame(
-    model: Model, body: BodyName, robot: str, ev: Evaluation, object_acceleration: np.ndarray
+    model: Model, body: BodyName, group: _Group, ev: Evaluation, object_acceleration: np.ndarray
 ) -> _Frame:
     state = ev.state
-    still = np.zeros((6, model.robots[robot].dof))
+    still = np.zeros((6, len(group.M)))
     if body.is_link:
-        rates, base = state.joint_velocities[robot], state.bases.get(robot)
-        tip = model.robots[robot].terms(state.joint_positions[robot], rates, body.tip, base)
-        return _Frame(tip.tip_rotation, tip.tip_twist, tip.J, tip.drift)
+        name, robot = body.robot, model.robots[body.robot]
+        rates, base = state.joint_velocities[name], state.bases.get(name)
+        tip, first = (
+            robot.terms(state.joint_positions[name], rates, body.tip, base),
+            group.first[name],
+        )
+        J = still.copy()
+        J[:, first : first + robot.dof] = tip.J
+        return _Frame(tip.tip_rotation, tip.tip_twist, J, tip.drift)
     if body.is_object:
         R = quaternion_to_matrix(state.object_quaternion_xyzw)
         return _Frame(R, state.object_twist, still, object_acceleration)
@@ -315,13 +351,13 @@ def _motion_of_first(
     model: Model,
     pair: Connection,
     ev: Evaluation,
+    group: _Group,
     object_acceleration: np.ndarray,
     rates: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``a`` of one connection; without ``rates``, across its free motions only."""
     first, second = (
-        _frame(model, body, pair.robot, ev, object_acceleration)
-        for body in (pair.first, pair.second)
+        _frame(model, body, group, ev, object_acceleration) for body in (pair.first, pair.second)
     )
     relative, space = relative_motion(model, ev.state, pair.name), ev.motion_space(pair.name)
     alpha = space.rates(relative.twist)
@@ -391,7 +427,7 @@ def _relative_accelerations(
     model: Model, wanted: Mapping[str, np.ndarray | None]
 ) -> dict[str, np.ndarray | None]:
     """The desired rates of ``alpha`` of every connection of a robot; None: undetermined."""
-    key, of_robots = "relative_acceleration", [n for n, c in model.connections.items() if c.robot]
+    key, of_robots = "relative_acceleration", [n for n, c in model.connections.items() if c.robots]
     _require_known(
         key, wanted, of_robots, "arm" if of_robots == list(model.robots) else "connection"
     )

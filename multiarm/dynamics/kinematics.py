@@ -33,6 +33,7 @@ from multiarm.jit.vectors import (
     times,
     vec,
 )
+from multiarm.robots.joined import copy_matrices
 from multiarm.robots.terms import (
     POSE_WIDTH,
     TermAddresses,
@@ -79,7 +80,7 @@ def fill_velocity(data):
 
 
 @kernel
-def turn_base_terms(b, model, data, work):
+def turn_base_terms(b, model, data):
     r"""Write what Pinocchio has of a floating base in world axes, where it stands.
 
     Pinocchio's base slides along world axes, then turns with an angular velocity in its own:
@@ -88,9 +89,9 @@ def turn_base_terms(b, model, data, work):
     the Jacobian by :math:`R^T` from the right.  Of the symmetric inertia the lower triangle is
     filled.
     """
-    i, R = model.floating_bases.block[b], rotation_of(data.state.base_poses[b, 3:7])
-    d = work.first_joint[i + 1] - work.first_joint[i]
-    addresses = open_addresses(data.bodies.pointers[i])
+    i, R = model.floating_bases.robot[b], rotation_of(data.state.base_poses[b, 3:7])
+    d = model.first_joint[i + 1] - model.first_joint[i]
+    addresses = open_addresses(data.bodies.base_pointers[b])
     stride = addresses.stride
     x, y, z = 3 * stride, 4 * stride, 5 * stride  # rows of the angular velocity
     M, bias = floats_at(addresses.inertia, d * stride), floats_at(addresses.bias, d)
@@ -109,7 +110,7 @@ def turn_base_terms(b, model, data, work):
 
 
 @inlined
-def block_terms(model, data, work):
+def block_terms(model, data):
     """All terms of the robots, and the motion of the links that carry their tips."""
     functions = data.functions
     if functions.robots != 0:
@@ -120,7 +121,8 @@ def block_terms(model, data, work):
         call_python(functions.pinocchio)
         for b in range(data.state.floating_bases.size):
             if model.floating_bases.slot[b] >= 0:
-                turn_base_terms(b, model, data, work)
+                turn_base_terms(b, model, data)
+    copy_matrices(data.bodies.copies)
     for l in range(data.bodies.link_pointers.shape[0]):
         addresses = open_link_addresses(data.bodies.link_pointers[l])
         if addresses.twist != 0:

@@ -25,6 +25,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +56,14 @@ def places_in_chart(velocities, joints, states):
     """The places for numbers of velocities, of joints among them, and of states of effects."""
     end = 2 * velocities  # of the velocity
     return ChartPlaces(velocities - joints, velocities, end - joints, end, end + states)
+
+
+class BlockPart(NamedTuple):
+    """The joints that a block has of one robot."""
+
+    robot: int
+    first: int  # counted from the robot's first joint
+    joints: int
 
 
 class StateColumns(NamedTuple):
@@ -90,13 +99,13 @@ class Layout:
     """Where frames, joints and contacts are in stacked vectors.
 
     Joints of robot ``i`` are ``first_joint[i]`` to ``first_joint[i + 1]``.  The equations are
-    solved by *blocks*: ranges of a robot's joints that share neither inertia nor rows of W with
-    others, such as the fingers of a hand on a fixed base, and last the surroundings where they
-    have rows (:mod:`multiarm.assembly.blocks`).  Rows of W have *owners*: a connection of two
-    bodies, a robot for rows that belong to its joints (those of an arm, or of a finger with one
-    connection, follow the contacts of the connection), and last the surroundings.  Rows of owner
-    ``c`` are ``first_contact[c]`` to ``first_contact[c + 1]``; the owners of a block stand
-    together, and so do the blocks of a robot.
+    solved by *blocks*: ranges of joints that share neither inertia nor rows of W with others, such
+    as the fingers of a hand on a fixed base, or robots that are joined to each other, and last the
+    surroundings where they have rows (:mod:`multiarm.assembly.blocks`).  Rows of W have *owners*: a
+    connection of two bodies, a robot for rows that belong to its joints (those of an arm, or of a
+    finger with one connection, follow the contacts of the connection), and last the surroundings.
+    Rows of owner ``c`` are ``first_contact[c]`` to ``first_contact[c + 1]``; the owners of a block
+    stand together, and so do the blocks of a robot.
 
     Attributes
     ----------
@@ -197,26 +206,36 @@ class Layout:
         return len(self.first_joint_of_block) - 1
 
     @cached_property
-    def robot_of_block(self) -> tuple[int, ...]:
-        """The robot of each block; for the surroundings the number of robots."""
-        firsts = self.first_joint_of_block[:-1]
-        return tuple(bisect_right(self.first_joint, first) - 1 for first in firsts)
+    def parts_of_blocks(self) -> tuple[tuple[BlockPart, ...], ...]:
+        """What each block has of the robots, in their order; the surroundings have nothing."""
+        return tuple(
+            tuple(
+                BlockPart(robot, begin - first, end - begin)
+                for robot, (first, last) in enumerate(pairwise(self.first_joint))
+                if (begin := max(first, block[0])) < (end := min(last, block[1]))
+            )
+            for block in pairwise(self.first_joint_of_block)
+        )
 
-    @property
-    def places_of_blocks(self) -> list[tuple[int, int]]:
-        """Robot of each block, and number in this robot of the block's first joint."""
-        first_joints = zip(self.robot_of_block, self.first_joint_of_block, strict=False)
-        return [(robot, first - self.first_joint[robot]) for robot, first in first_joints]
+    def robots_of_block(self, i: int) -> tuple[str, ...]:
+        """The robots that have joints of a block, by name; none for the surroundings."""
+        return tuple(self.names[part.robot] for part in self.parts_of_blocks[i])
 
     @property
     def splits_robots(self) -> bool:
         """Whether some robot has several blocks."""
-        return len(self.blocks_of_robots) > len(self.names)
+        return any(len(blocks) > 1 for blocks in self.blocks_by_robot.values())
 
     @property
     def blocks_of_robots(self) -> range:
         """The blocks without the surroundings."""
-        return range(bisect_left(self.robot_of_block, len(self.names)))
+        return range(sum(map(bool, self.parts_of_blocks)))
+
+    @cached_property
+    def robot_groups(self) -> tuple[range, ...]:
+        """The robots in groups of neighbours that are joined to each other; most are alone."""
+        first = {blocks[0].robot: blocks[-1].robot + 1 for blocks in self.parts_of_blocks if blocks}
+        return tuple(range(robot, end) for robot, end in first.items())
 
     @property
     def joint_counts(self) -> list[int]:
@@ -239,9 +258,9 @@ class Layout:
         return slice(self.first_joint[i], self.first_joint[i + 1])
 
     def blocks_of(self, i: int) -> range:
-        """The blocks of a robot."""
-        robots = self.robot_of_block
-        return range(bisect_left(robots, i), bisect_right(robots, i))
+        """The blocks that have joints of a robot."""
+        firsts, joints = self.first_joint_of_block, self.joints_of(i)
+        return range(bisect_right(firsts, joints.start) - 1, bisect_left(firsts, joints.stop))
 
     @property
     def blocks_by_robot(self) -> dict[str, range]:
@@ -265,12 +284,12 @@ class Layout:
         return range(bisect_left(self.block_of, i), bisect_right(self.block_of, i))
 
     def contacts_of_robot(self, i: int) -> slice:
-        """Contacts of a robot among all contacts."""
+        """Contacts of the blocks of a robot among all contacts."""
         blocks = self.blocks_of(i)
         return slice(self.first_of_block[blocks.start], self.first_of_block[blocks.stop])
 
     def owners_of_robot(self, i: int) -> range:
-        """The owners of the rows of a robot."""
+        """The owners of the rows of a robot's blocks."""
         blocks = self.blocks_of(i)
         firsts = [bisect_left(self.block_of, block) for block in (blocks.start, blocks.stop)]
         return range(*firsts)

@@ -137,11 +137,13 @@ class Model:
 
     @property
     def blocks(self) -> list[str]:
-        """The robot of each block by its name; for the surroundings the owners of their rows."""
-        layout, last = self.layout, self.layout.block_count - 1
-        around = ", ".join(layout.owners[c] for c in layout.owners_of_block(last))
-        names = [*self.arm_names, around]
-        return [names[robot] for robot in layout.robot_of_block]
+        """The robots of each block by name; for the surroundings the owners of their rows."""
+        layout = self.layout
+        last = [layout.owners[c] for c in layout.owners_of_block(layout.block_count - 1)]
+        return [
+            " and ".join(layout.robots_of_block(i)) or ", ".join(last)
+            for i in range(layout.block_count)
+        ]
 
     def owner(self, row: int) -> tuple[str, Record]:
         """Owner and record of a row of W."""

@@ -74,6 +74,8 @@ class BodyVariables(NamedTuple):
     """Motion and inertia of the bodies, of ``n`` blocks and L links that carry tips."""
 
     pointers: Ints2  # (n, 5) addresses of each block's terms, see multiarm.robots.terms
+    copies: Ints2  # (k, 6) fill the terms of blocks of several robots, see multiarm.robots.joined
+    base_pointers: Ints2  # (B, 5) addresses of the terms of each robot whose base floats
     link_pointers: Ints2  # (L, 3) addresses of the motion of each link
     pinocchio_configuration: Floats1
     # (joints,) velocities as Pinocchio has them: of floating bases the angular one in base axes
@@ -348,6 +350,8 @@ class Pointers(NamedTuple):
     """Addresses of what backends compute."""
 
     terms: np.ndarray  # (n, 5) of the blocks
+    bases: np.ndarray  # (B, 5) of the robots whose bases float
+    copies: np.ndarray  # (k, 6) of terms, into those of blocks of several robots
     links: np.ndarray  # (L, 3)
     poses: Sequence[int]  # of the links on which effects act
 
@@ -373,6 +377,8 @@ def make_variables(sizes: Sizes, pointers: Pointers) -> Variables:
         state=state,
         bodies=BodyVariables(
             pointers=pointers.terms,
+            copies=pointers.copies,
+            base_pointers=pointers.bases,
             link_pointers=pointers.links,
             pinocchio_configuration=np.zeros(sizes.pinocchio_configuration),
             pinocchio_velocity=rates.copy() if layout.floating_robots else rates,

@@ -87,16 +87,17 @@ def factor_stages(gamma, blocks, struct, velocity, h):
 
 @inlined
 def turn_positions(gamma, half, velocity, data, d0, row, out):
-    """``out = R_i row`` for positions of an arm whose joints begin at ``d0``.
+    """``out = R_i row`` for positions of a block whose joints begin at ``d0``.
 
     ``half`` is ``h / 2``, and ``-h / 2`` for a row vector, ``row R_i``.
     """
     for c in range(out.size):
         out[c] = gamma * row[c]
     for b in range(data.state.floating_bases.size):
-        if data.state.floating_bases[b] == d0:
-            spin = chart_places(data).joints + d0 + 3
-            turn(1.0 / gamma, half, velocity[spin : spin + 3], row[3:6], out[3:6])
+        at = data.state.floating_bases[b] - d0 + 3
+        if 0 <= at < out.size:
+            spin = chart_places(data).joints + d0 + at
+            turn(1.0 / gamma, half, velocity[spin : spin + 3], row[at : at + 3], out[at : at + 3])
 
 
 @inlined

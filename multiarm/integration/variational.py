@@ -55,16 +55,18 @@ from multiarm.integration.step import METHOD_WORK, Step, open_step
 from multiarm.jit.kernels import cfunc, clear, copy, greatest, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.structs import Floats1, Floats2, Floats3, Ints2, floats_at, struct_at, view
+from multiarm.robots.joined import copy_matrices
 from multiarm.robots.terms import CoriolisCalls, open_matrix
 from multiarm.spatial import write_chart_rate
 
 
 class VariationalWork(NamedTuple):
-    """A step's arrays, for F objects, velocities of V numbers, ``N`` contacts, ``a`` arms."""
+    """A step's arrays, for F objects, velocities of V numbers, ``N`` contacts, ``a`` blocks."""
 
-    # the arms' Coriolis matrices, see :class:`multiarm.robots.terms.Coriolis`
+    # the blocks' Coriolis matrices, see :class:`multiarm.robots.terms.Coriolis`
     coriolis_calls: CoriolisCalls
     coriolis: Ints2  # (a, 2)
+    coriolis_copies: Ints2  # (k, 6)
     # at the beginning of the step: configuration, constraint matrices, the objects' inertias in
     # world axes, momenta (V,)
     begin: Floats1
@@ -98,6 +100,7 @@ def make_variational(data: Data, _step: Step) -> tuple[VariationalWork]:
     work = VariationalWork(
         coriolis_calls=coriolis.calls,
         coriolis=coriolis.matrices,
+        coriolis_copies=coriolis.copies,
         begin=np.zeros(layout.nq),
         W_o=np.zeros((rows, layout.node)),
         W=np.zeros_like(data.work.W),
@@ -256,6 +259,7 @@ def midpoint_forces(step, work, h):
         call_python(calls.callback)
     if calls.compiled != 0:
         call_cfunc(calls.compiled, struct_at(calls.robots_struct, calls.robots_size), 0.0, 0.0)
+    copy_matrices(work.coriolis_copies)
     if data.status.failed:
         return CALLBACK_FAILED
     status = call_cfunc(data.functions.forces, step.system, 0.0, 0.0)

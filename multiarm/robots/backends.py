@@ -219,14 +219,13 @@ class Backends:
 class Ground:
     """The surroundings as a robot without joints.
 
-    ``pointers`` (5,) are as those of a backend; valid while this lives.
+    ``addresses`` are those of its terms; valid while this lives.
     """
 
     def __init__(self) -> None:
         self._nothing = np.zeros(1)
         at = _address(self._nothing)
-        addresses = TermAddresses(at, stride=1, jacobian=at, bias=at, gravity_torque=at)
-        self.pointers = np.array(addresses, dtype=np.int64)
+        self.addresses = TermAddresses(at, stride=1, jacobian=at, bias=at, gravity_torque=at)
 
 
 class RobotGroup:

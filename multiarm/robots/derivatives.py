@@ -145,25 +145,31 @@ open_link = row_of(Link)
 
 
 class TreeLinks(NamedTuple):
-    """Joints and links of all robots.
+    """Joints and links of all blocks, which have one tree, or several of robots that are joined.
 
     Attributes
     ----------
     first : int64 ndarray, shape (n + 1,)
-        First joint of each robot.
+        First joint of each block.
+    first_tree : int64 ndarray, shape (n + 1,)
+        First tree of each block.
+    roots : int64 ndarray, shape (T + 1,)
+        First joint of each tree.
     parents : int64 ndarray, shape (joints,)
-        As in :class:`multiarm.robots.terms.TreeStructure`, counted from the robot's first joint.
+        As in :class:`multiarm.robots.terms.TreeStructure`, counted from the block's first joint.
     joints : ndarray, shape (joints, 34)
         Every :class:`multiarm.robots.chain.ChainJoint`.
-    bases : ndarray, shape (n, 3)
+    bases : ndarray, shape (T, 3)
         Origins of the first joints in the world [m]; of floating bases where they were at the last
         call of :func:`write_motions`.
-    floats : int64 ndarray, shape (n,)
-        Number of the floating base of each robot, which is then its first six joints; -1 without.
+    floats : int64 ndarray, shape (T,)
+        Number of the floating base of each tree, which is then its first six joints; -1 without.
     gravity : ndarray, shape (3,)
     """
 
     first: Ints1
+    first_tree: Ints1
+    roots: Ints1
     parents: Ints1
     joints: Floats2
     bases: Floats2
@@ -171,14 +177,24 @@ class TreeLinks(NamedTuple):
     gravity: Floats1
 
 
-def tree_links(robots: Sequence[TreeStructure], gravity: np.ndarray) -> TreeLinks:
-    """The joints and links of some robots, which may be none."""
-    floats = np.array([robot.base_floats for robot in robots], dtype=bool)
+def tree_links(blocks: Sequence[Sequence[TreeStructure]], gravity: np.ndarray) -> TreeLinks:
+    """The joints and links of the trees of some blocks, which may be none."""
+    trees = [tree for block in blocks for tree in block]
+    floats = np.array([tree.base_floats for tree in trees], dtype=bool)
+    roots = np.cumsum([0, *(tree.dof for tree in trees)]).astype(np.int64)
+    first_tree = np.cumsum([0, *map(len, blocks)]).astype(np.int64)
+    first, parents = roots[first_tree], np.zeros(roots[-1], dtype=np.int64)
+    for tree, begin, end in zip(trees, roots[:-1], roots[1:], strict=True):
+        before = begin - first[np.searchsorted(first, begin, side="right") - 1]
+        of_tree = _parents_of_numbers(tree)
+        parents[begin:end] = np.where(of_tree < 0, -1, before + of_tree)
     return TreeLinks(
-        np.cumsum([0, *(robot.dof for robot in robots)]).astype(np.int64),
-        np.concatenate([np.zeros(0, dtype=np.int64), *map(_parents_of_numbers, robots)]),
-        np.concatenate([np.zeros((0, JOINT_WIDTH)), *map(_joints_of_numbers, robots)]),
-        np.reshape([robot.translations[0] for robot in robots], (-1, 3)),
+        first,
+        first_tree,
+        roots,
+        parents,
+        np.concatenate([np.zeros((0, JOINT_WIDTH)), *map(_joints_of_numbers, trees)]),
+        np.reshape([tree.translations[0] for tree in trees], (-1, 3)),
         np.where(floats, np.cumsum(floats) - 1, -1),
         np.array(gravity, dtype=float),
     )
@@ -201,13 +217,13 @@ def _joints_of_numbers(robot: TreeStructure) -> np.ndarray:
 
 @kernel
 def write_motions(links, i, base_poses, angles, rates, accelerations, scratch):
-    """Write the motions of a robot's links.
+    """Write the motions of a block's links.
 
     Parameters
     ----------
     links : view of TreeLinks
     i : int
-        Number of the robot.
+        Number of the block.
     base_poses : (B, 7)
         Position and quaternion xyzw of every floating base.
     angles, rates, accelerations : (joints,)
@@ -215,12 +231,20 @@ def write_motions(links, i, base_poses, angles, rates, accelerations, scratch):
     scratch : (n_i, 85), written
         Every :class:`Link`.
     """
-    d0, n, first = links.first[i], links.first[i + 1] - links.first[i], 0
+    for t in range(links.first_tree[i], links.first_tree[i + 1]):
+        _write_tree(links, i, t, base_poses, angles, rates, accelerations, scratch)
+
+
+@inlined
+def _write_tree(links, i, t, base_poses, angles, rates, accelerations, scratch):
+    """Write the motions of the links of tree ``t``, one of block ``i``."""
+    d0, first = links.first[i], links.roots[t] - links.first[i]
     at_base = (scale(-1.0, vec(links.gravity, 0)), ZERO)
-    if links.floats[i] >= 0:
-        first = BASE_DOF
-        _write_base(links, i, base_poses[links.floats[i]], rates, accelerations, scratch)
-    for k in range(first, n):
+    if links.floats[t] >= 0:
+        pose = base_poses[links.floats[t]]
+        _write_base(links, t, pose, rates, accelerations, scratch[first:])
+        first += BASE_DOF
+    for k in range(first, links.roots[t + 1] - d0):
         joint, link, q = open_joint(links.joints[d0 + k]), open_link(scratch[k]), angles[d0 + k]
         angle, parent = joint.turns * q, links.parents[d0 + k]
         axes, p, twist, rate = AXES, ZERO, (ZERO, ZERO), at_base
@@ -242,10 +266,10 @@ def write_motions(links, i, base_poses, angles, rates, accelerations, scratch):
 
 
 @inlined
-def _write_base(links, i, pose, rates, accelerations, scratch):
+def _write_base(links, t, pose, rates, accelerations, scratch):
     """Write the motions of the six joints of a floating base, of which the last has its link."""
-    d0, R = links.first[i], rotation_of(pose[3:7])
-    put(links.bases[i], 0, vec(pose, 0))
+    d0, R = links.roots[t], rotation_of(pose[3:7])
+    put(links.bases[t], 0, vec(pose, 0))
     v, w = vec(rates, d0), vec(rates, d0 + 3)
     a = sub(sub(vec(accelerations, d0), vec(links.gravity, 0)), cross(w, v))
     twist, rate = (v, w), (a, vec(accelerations, d0 + 3))
@@ -283,7 +307,7 @@ def _move_link(joint, axes, p, twist, rate, link):
 
 @kernel
 def write_link(links, i, k, scratch, body, moved):
-    """Write the motion of link ``k`` of a robot, and how the joints of the robot displace it.
+    """Write the motion of link ``k`` of a block, and how the joints of the block displace it.
 
     After :func:`write_motions` with the same scratch.
 
@@ -297,7 +321,10 @@ def write_link(links, i, k, scratch, body, moved):
     d0, n = links.first[i], links.first[i + 1] - links.first[i]
     for j in range(2 * n):
         clear(moved[j])
-    link, base, gravity = open_link(scratch[k]), vec(links.bases[i], 0), vec(links.gravity, 0)
+    t = links.first_tree[i]
+    while links.roots[t + 1] <= d0 + k:
+        t += 1
+    link, base, gravity = open_link(scratch[k]), vec(links.bases[t], 0), vec(links.gravity, 0)
     p, twist, rate = link.origin, link.twist, link.rate
     write_motion(open_body(body), link.rotation, p, base, twist, rate, gravity)
     j = k
@@ -338,7 +365,7 @@ def displace_by_rate(link, p, twist, out):
 
 @kernel
 def subtract_load(k, wrench, scratch):
-    """Subtract a wrench (6,) on link ``k`` from the forces that move the robot's links.
+    """Subtract a wrench (6,) on link ``k`` from the forces that move the block's links.
 
     After :func:`write_motions`, before :func:`write_inverse_dynamics`.  The wrench is about the
     link's origin in its axes [N, N m], and stays constant in these.
@@ -349,7 +376,7 @@ def subtract_load(k, wrench, scratch):
 
 @kernel
 def write_inverse_dynamics(links, i, scratch, by_q, by_v):
-    """Write the derivatives of a robot's inverse dynamics, ``M q'' + b - J^T f``.
+    """Write the derivatives of a block's inverse dynamics, ``M q'' + b - J^T f``.
 
     By positions and velocities, (n_i, n_i) each, after :func:`write_motions`, and after
     :func:`subtract_load` for every wrench f on a link, with the same scratch, which is used up.
@@ -388,11 +415,13 @@ def write_inverse_dynamics(links, i, scratch, by_q, by_v):
             j = links.parents[d0 + j]
         if parent >= 0:
             _add_beyond(open_link(scratch[parent]), link)
-    if links.floats[i] >= 0:
-        x, y, z = open_link(scratch[0]).force[1]
-        by_q[4, 3] -= z
-        by_q[5, 3] += y
-        by_q[5, 4] -= x
+    for t in range(links.first_tree[i], links.first_tree[i + 1]):
+        if links.floats[t] >= 0:
+            a = links.roots[t] - d0 + 3  # the first of the base's turns
+            x, y, z = open_link(scratch[a - 3]).force[1]
+            by_q[a + 1, a] -= z
+            by_q[a + 2, a] += y
+            by_q[a + 2, a + 1] -= x
 
 
 @inlined
@@ -413,7 +442,7 @@ def _add_beyond(link, beyond):
 
 @kernel
 def subtract_torques(links, i, k, wrench, scratch, table, column):
-    """Subtract the torques of a wrench (6,) on link ``k`` of a robot from a column.
+    """Subtract the torques of a wrench (6,) on link ``k`` of a block from a column.
 
     The wrench is about the link's origin in its axes; the torques of joints that do not move the
     link are zero.

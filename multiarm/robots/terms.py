@@ -23,17 +23,19 @@ class TermAddresses(NamedTuple):
     bias: Number
     gravity_torque: Number
 
+    @property
+    def inertia_matrix(self) -> MatrixAddress:
+        """Where the inertia is."""
+        return MatrixAddress(self.inertia, self.stride)
 
-def terms_of_block(of_robot: np.ndarray, first: int) -> TermAddresses:
-    """Addresses of the terms of a block, whose first joint is number ``first`` of its robot."""
-    robot = TermAddresses(*of_robot.tolist())
-    return TermAddresses(
-        inertia=robot.inertia + NUMBER_BYTES * first * (robot.stride + 1),
-        stride=robot.stride,
-        jacobian=robot.jacobian + NUMBER_BYTES * 6 * first,
-        bias=robot.bias + NUMBER_BYTES * first,
-        gravity_torque=robot.gravity_torque + NUMBER_BYTES * first,
-    )
+    def from_joint(self, first: int) -> TermAddresses:
+        """Addresses of the terms of a robot's joints from number ``first`` on."""
+        return TermAddresses(
+            *self.inertia_matrix.from_joint(first),
+            jacobian=self.jacobian + NUMBER_BYTES * 6 * first,
+            bias=self.bias + NUMBER_BYTES * first,
+            gravity_torque=self.gravity_torque + NUMBER_BYTES * first,
+        )
 
 
 class LinkAddresses(NamedTuple):
@@ -177,14 +179,15 @@ class MatrixAddress(NamedTuple):
     at: Number
     stride: Number  # in numbers
 
-
-def matrix_of_block(of_robot: np.ndarray, first: int) -> MatrixAddress:
-    """Where the part of a block is, whose first joint is number ``first`` of its robot."""
-    at, stride = of_robot.tolist()
-    return MatrixAddress(at + NUMBER_BYTES * first * (stride + 1), stride)
+    def from_joint(self, first: int) -> MatrixAddress:
+        """Where its part is of a robot's joints from number ``first`` on."""
+        return MatrixAddress(self.at + NUMBER_BYTES * first * (self.stride + 1), self.stride)
 
 
 open_matrix = row_of(MatrixAddress)
+
+
+NO_COPIES = np.zeros((0, 6), dtype=np.int64)
 
 
 class Coriolis(NamedTuple):
@@ -193,10 +196,13 @@ class Coriolis(NamedTuple):
     calls : CoriolisCalls
     matrices : int64 (n, 2)
         The :class:`MatrixAddress` of each robot, or of each block of the equations.
+    copies : int64 (k, 6)
+        Fill those of blocks of several robots, see :mod:`multiarm.robots.joined`.
     """
 
     calls: CoriolisCalls
     matrices: np.ndarray
+    copies: np.ndarray = NO_COPIES
 
 
 class TreeStructure(NamedTuple):

@@ -277,13 +277,8 @@ def _pair_fault(first: BodyName, second: BodyName, robots: Robots) -> str:
             f"{str(first)!r} can only be the second body; write between: [{second}, {first}], with "
             "'at' and 'at_first' exchanged"
         )
-    if not (first.is_link and second.is_link):
+    if not (first.is_link and second.is_link) or first.robot != second.robot:
         return ""
-    if first.robot != second.robot:
-        return (
-            f"{str(first)!r} and {str(second)!r} are of two robots; joints between two robots are "
-            "not simulated yet, join both to the object or to the world"
-        )
     carriers = [_carrier(body, robots) for body in (first, second)]
     if carriers[0] is not None and carriers[0] == carriers[1]:
         return (

@@ -47,12 +47,12 @@ class SolverLog:
                 data.move_to(state)  # the kinematics in the data may be those of another state
                 # a callback that fails here ends the run at the next step
                 in_words = update_kinematics(data.struct) == OK
-            altered = changed[lost[changed] != self._lost[changed]] if in_words else []
-            words = lost_motions(data, [data.model.blocks[i] for i in altered])
             for i in map(int, changed):
                 arm = data.model.blocks[i]
                 if lost[i] != self._lost[i]:
-                    what = words.get(arm, ())
+                    robots = data.model.layout.robots_of_block(i) if in_words else ()
+                    words = lost_motions(data, robots).values()
+                    what = tuple(dict.fromkeys(word for of_robot in words for word in of_robot))
                     events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
                 else:
                     nearest = f", {_nearest(data, i)}" if in_words else ""
@@ -94,7 +94,8 @@ def _nearest(data: Data, i: int) -> str:
     inertia = read_inertia(data.arrays.bodies.pointers[i], d)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
-    rows, of_block = layout.contacts_of_robot(layout.robot_of_block[i]), layout.contacts_of_block(i)
+    robot, of_block = layout.robots_of_block(i)[0], layout.contacts_of_block(i)
+    rows = layout.contacts_of_robot(layout.names.index(robot))
     of_robot = np.zeros((rows.stop - rows.start, 1))
     of_robot[of_block.start - rows.start : of_block.stop - rows.start, 0] = directions[-1]
-    return "; ".join(describe(data, data.model.blocks[i], of_robot))
+    return "; ".join(describe(data, robot, of_robot))

@@ -464,7 +464,7 @@ def test_a_motion_that_happens_gives_its_own_torques_back(family, tmp_path):
         state, connections = system.initial_state(), system.model.connections
         drawn = {name: rng.standard_normal(arm.dof) for name, arm in system.arms.items()}
         happens = driven(system, drawn, state)
-        free = {name: None for name, pair in connections.items() if pair.robot}
+        free = {name: None for name, pair in connections.items() if pair.robots}
         inverse = ma.inverse_dynamics(
             system, state, happens.object_acceleration, free,
             posture_acceleration=happens.joint_accelerations,

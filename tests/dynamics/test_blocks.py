@@ -12,7 +12,7 @@ from random_trees import FAMILIES, draw_trees, random_hand
 from scipy.optimize import approx_fprime
 
 import multiarm as ma
-from multiarm.assembly.blocks import robot_blocks
+from multiarm.assembly.blocks import RobotPart, blocks_of_group, robots_together
 from multiarm.contacts.table import JointRow
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.data import Data
@@ -49,46 +49,76 @@ def held_by(*tips: int) -> list[Connection]:
     ]
 
 
+def blocks_of(hand, connections, of_joints, with_rows):
+    return blocks_of_group({"hand": hand}, connections, {"hand": of_joints}, {"hand": with_rows})
+
+
 def ranges(blocks) -> list[tuple[int, int]]:
-    return [(block.joints.start, block.joints.stop) for block in blocks]
+    return [(part.joints.start, part.joints.stop) for block in blocks for part in block.parts]
+
+
+def owners(blocks) -> list[str]:
+    return [part.owner for block in blocks for part in block.parts]
 
 
 # --- what belongs together -----------------------------------------------------------------------
 
 
 def test_fingers_are_blocks(hand):
-    blocks = robot_blocks(hand, held_by(3, 1, 0, 2), (), ())
+    blocks = blocks_of(hand, held_by(3, 1, 0, 2), (), ())
     assert ranges(blocks) == [(0, 3), (3, 5), (5, 6), (6, 9)]
     assert [block.connections for block in blocks] == [(f"hand/tip_{k}",) for k in range(4)]
 
 
 def test_a_connection_between_fingers_joins_them_and_those_between(hand):
     pinch = Connection("pinch", BodyName("hand", "tip_0"), BodyName("hand", "tip_2"))
-    blocks = robot_blocks(hand, [*held_by(0, 1, 2, 3), pinch], (), ())
+    blocks = blocks_of(hand, [*held_by(0, 1, 2, 3), pinch], (), ())
     assert ranges(blocks) == [(0, 6), (6, 9)]
 
 
 def test_a_joint_that_copies_one_of_another_finger_joins_them(hand):
     coupling = JointRow("copies", 5, leader=4, multiplier=0.5)
-    blocks = robot_blocks(hand, held_by(0, 1, 2, 3), [coupling], {5})
+    blocks = blocks_of(hand, held_by(0, 1, 2, 3), [coupling], {5})
     assert ranges(blocks) == [(0, 3), (3, 6), (6, 9)]
-    assert blocks[1].owner == "hand"
+    assert owners(blocks)[1] == "hand"
 
 
 def test_rows_of_joints_follow_the_only_connection_of_their_block(hand):
-    blocks = robot_blocks(hand, held_by(0, 1, 2, 3), (), range(9))
-    assert [block.owner for block in blocks] == [f"hand/tip_{k}" for k in range(4)]
+    blocks = blocks_of(hand, held_by(0, 1, 2, 3), (), range(9))
+    assert owners(blocks) == [f"hand/tip_{k}" for k in range(4)]
 
 
 def test_blocks_with_rows_and_no_connection_are_one(hand):
     """The rows that the robot owns stand together."""
-    blocks = robot_blocks(hand, held_by(1, 3), (), range(9))
+    blocks = blocks_of(hand, held_by(1, 3), (), range(9))
     assert ranges(blocks) == [(0, 6), (6, 9)]  # fingers 0 and 2, and the one between
-    assert [block.owner for block in blocks] == ["hand/tip_1", "hand/tip_3"]
-    free = robot_blocks(hand, held_by(3), (), {0, 5})
+    assert owners(blocks) == ["hand/tip_1", "hand/tip_3"]
+    free = blocks_of(hand, held_by(3), (), {0, 5})
     assert ranges(free) == [(0, 6), (6, 9)]
-    assert [block.owner for block in free] == ["hand", "hand/tip_3"]
-    assert ranges(robot_blocks(hand, held_by(3), (), {0})) == [(0, 3), (3, 5), (5, 6), (6, 9)]
+    assert owners(free) == ["hand", "hand/tip_3"]
+    assert ranges(blocks_of(hand, held_by(3), (), {0})) == [(0, 3), (3, 5), (5, 6), (6, 9)]
+
+
+def test_robots_that_are_joined_are_one_block_with_all_their_joints(hand):
+    held = held_by(0, 3)
+    shake = Connection("shake", BodyName("hand", "tip_1"), BodyName("other", "tip_2"))
+    nothing = {"hand": (), "other": ()}
+    (block,) = blocks_of_group({"hand": hand, "other": hand}, [*held, shake], nothing, nothing)
+    assert block.parts == tuple(RobotPart(n, range(9), n) for n in ("hand", "other"))
+    assert block.connections == ("hand/tip_0", "hand/tip_3", "shake")
+    assert (block.joint_count, block.owners[-2:]) == (18, ["hand", "other"])
+
+
+def test_robots_in_a_chain_or_ring_are_together_in_the_order_of_the_scene():
+    names, chain = "abcdef", [{"d", "b"}, {"e"}, set(), {"f", "d"}]
+    together = [["a"], ["b", "d", "f"], ["c"], ["e"]]
+    assert robots_together(names, chain) == together
+    assert robots_together(names, [*chain, {"b", "f"}]) == together
+    assert robots_together(names, [{"a", "f"}, {"b", "c"}, {"c", "f"}]) == [
+        list("abcf"),
+        ["d"],
+        ["e"],
+    ]
 
 
 @pytest.mark.parametrize("family", FAMILIES)

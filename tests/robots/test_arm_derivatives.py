@@ -86,7 +86,7 @@ class Moving(NamedTuple):
 
 def moving(tree: TreeStructure, rng) -> Moving:
     n, before = tree.parents.size, random_structure(rng, [-1, 0, 0])
-    links = tree_links([before, tree], GRAVITY)
+    links = tree_links([[before], [tree]], GRAVITY)
     every = tuple(rng.uniform(-2, 2, 3 + n) for _ in range(3))
     model = pinocchio_model(tree, GRAVITY)
     scratch = rng.standard_normal((n, LINK_WIDTH))

@@ -461,7 +461,6 @@ def test_joints_name_their_bodies_and_themselves():
         (weld("tiago/left", "tiago/left"), "$.joints[0].between"),
         (weld("tiago/left", "tiago/arm_left_7_link"), "$.joints[0].between"),
         (weld("tiago/base_link", "world"), "$.joints[0].between"),
-        (weld("tiago/left", "helper"), "$.joints[0].between"),
         (weld("tiago/left", "world", name="floor"), "$.joints[0].name"),
         (weld("tiago/left", "world", name="tiago"), "$.joints[0].name"),
         (weld("tiago/left", "world", name="helper"), "$.joints[0].name"),

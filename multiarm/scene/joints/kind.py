@@ -90,7 +90,7 @@ class Joint(UserKind):
     between : list of 2 str, optional
         Instead of 'arm': a list of two bodies. 'object', or an object by its name, 'world', an arm
         by its name, 'robot/tip' or 'robot/link'. The first is a link or an object, the second an
-        object, the world or another link of the same robot.
+        object, the world or another link, of the same robot or of another one.
     name : str, optional
         A name for reports; with 'between' also in results. Absent: 'arm', or 'first-second'.
     at : Pose, optional
