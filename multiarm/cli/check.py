@@ -179,7 +179,8 @@ def _terms(arm: ArmFacts | RobotFacts) -> Text:
 def _joints(inspection: Inspection) -> RenderableType:
     """The joints of the scene: by arms where all are between an arm and the object."""
     joints = inspection.joints
-    if inspection.object is not None and not inspection.robots:
+    of_arms = all(joint.arm is not None for joint in joints)
+    if inspection.object is not None and not inspection.robots and of_arms:
         return columns(
             "Joints to the object (z: the joint's axis or normal)",
             ("arm", "kind", "rows", "free motions", "contacts"),
