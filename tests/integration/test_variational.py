@@ -358,7 +358,8 @@ def test_rolling_converges_with_order_2(tmp_path):
 
 def coriolis_matrices(system):
     """``C`` of every arm at the state in the buffers, read where the kernels read it."""
-    calls, matrices = data_of(system).coriolis()
+    coriolis = data_of(system).coriolis()
+    calls = coriolis.calls
     update_kinematics(data_of(system).struct)
     if calls.callback:
         ctypes.CFUNCTYPE(None)(calls.callback)()
@@ -366,7 +367,7 @@ def coriolis_matrices(system):
         kinds = [ctypes.c_int64] * 3 + [ctypes.c_double] * 2
         ctypes.CFUNCTYPE(*kinds)(calls.compiled)(calls.robots_struct, calls.robots_size, 0.0, 0.0)
     found = []
-    for (at, stride), arm in zip(matrices, system.arms.values(), strict=True):
+    for (at, stride), arm in zip(coriolis.matrices, system.arms.values(), strict=True):
         n = arm.dof
         numbers = np.ctypeslib.as_array((ctypes.c_double * (n * stride)).from_address(int(at)))
         found.append(numbers.reshape(n, stride)[:, :n].copy())
