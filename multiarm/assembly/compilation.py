@@ -12,6 +12,7 @@ from typing import Any
 from multiarm.assembly.joints import contact_rows, joint_frames, scene_joints
 from multiarm.assembly.model import uncontrolled_model, with_control, with_joint_frames
 from multiarm.assembly.paths import joint_path
+from multiarm.assembly.placed_objects import with_object_poses
 from multiarm.assembly.robots import backends_of, load_robots, with_bases
 from multiarm.assembly.start import (
     assembled_start,
@@ -96,6 +97,7 @@ def compile_system(
             "make a table a scene: ma.Scene(**table)"
         )
     scene = with_code(_with_arms(scene, arms), code).with_trunk_robots()
+    scene = with_object_poses(scene)  # objects that are where their joints put them
     scene = with_bases(scene) if assemble else scene  # where arms stand, if that is to be found
     # a run needs them: the first time they are compiled in the background
     compile_ahead(advance, explicit_step, write_slope)
@@ -150,7 +152,7 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
         Arguments of :meth:`multiarm.System.state`, in place of the start as written, for which
         missing postures are sought.
     """
-    scene = with_bases(scene.with_trunk_robots())
+    scene = with_bases(with_object_poses(scene.with_trunk_robots()))
     robots = load_robots(scene, seek=start is None)
     joints = scene_joints(scene, robots)
     rows = contact_rows(scene, robots, joints)

@@ -109,8 +109,7 @@ def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> 
         if like is not None and name in shared:
             resolved[name], robots[name] = like.model.resolved_robots[name], like.model.robots[name]
         else:
-            resolved[name] = _resolved(scene, name)
-            robots[name] = _make_robot(name, scene, resolved[name])
+            resolved[name], robots[name] = load_robot(scene, name)
     postures = {name: robot.posture for name, robot in resolved.items()}
     if seek:
         postures |= find_postures(scene, robots, resolved)
@@ -123,6 +122,12 @@ def robots_in_order(scene: Scene) -> list[str]:
     pairs = ({body.robot for body in pair if body.is_link} for pair in bodies)
     groups = robots_together((*scene.arms, *scene.robots), pairs)
     return [name for group in groups for name in group]
+
+
+def load_robot(scene: Scene, name: str) -> tuple[ResolvedRobot, Robot]:
+    """An arm or a robot of the scene, with its files, joints and start as written."""
+    resolved = _resolved(scene, name)
+    return resolved, _make_robot(name, scene, resolved)
 
 
 def _resolved(scene: Scene, name: str) -> ResolvedRobot:

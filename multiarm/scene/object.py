@@ -92,7 +92,8 @@ class ObjectSpec(Spec):
     """About the centre of mass in object axes [kg m^2]: principal moments, the entries ixx, ixy,
     ixz, iyy, iyz, izz, or the matrix. Absent: uniform density."""
     pose: Pose = Pose()
-    """Of the object frame in the world at the start."""
+    """Of the object frame in the world at the start. Absent: the origin; of several objects, where
+    the first joint with 'at' and a body that has a place puts it."""
     twist: Vec6 | None = None
     """Velocity of the centre of mass [m/s] and angular velocity [rad/s], world axes, at the start.
     Absent: at rest."""
