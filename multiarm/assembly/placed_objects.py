@@ -73,9 +73,8 @@ class _Places:
         return None if robot is None else robot[0].tip_pose(robot[1], body.tip)
 
     def _standing(self, name: str) -> tuple[Robot, np.ndarray] | None:
-        """A robot with its posture; None where that, or the base, is not written."""
-        open_base = name in self._scene.arms and self._scene.arms[name].open_base
-        if open_base or posture_of(self._scene, name)[1] in (None, SOLVE):
+        """A robot with its posture; None where that is not written, nor then is a base."""
+        if posture_of(self._scene, name)[1] in (None, SOLVE):
             return None
         resolved, robot = load_robot(self._scene, name)
         return robot, resolved.posture

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.assembly.bases import Standing, find_bases
+from multiarm.assembly.bases import DECIMALS, Standing, find_bases
 from multiarm.assembly.blocks import robots_together
 from multiarm.assembly.postures import find_postures
 from multiarm.control.program import needs_gravity_torque
@@ -30,6 +30,7 @@ from multiarm.scene import (
 )
 from multiarm.scene.bodies import BodyName
 from multiarm.scene.joint_values import SOLVE
+from multiarm.scene.robot_spec import RobotBaseSpec, in_order
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,16 @@ def with_bases(scene: Scene) -> Scene:
     Raises
     ------
     SceneError
-        Naming every arm for which there is no place.
+        Naming every arm or robot for which there is no place.
     """
-    if not any(spec.open_base for spec in scene.arms.values()):
-        return scene
+    if any(spec.open_base for spec in scene.arms.values()):
+        scene = _with_bases_of_arms(scene)
+    if any(spec.open_base for spec in scene.robots.values()):
+        scene = _with_bases_of_robots(scene)
+    return scene
+
+
+def _with_bases_of_arms(scene: Scene) -> Scene:
     arms, standing = {}, {}
     for name, spec in scene.arms.items():
         resolved = resolve_arm(spec, scene.folder)
@@ -85,6 +92,24 @@ def with_bases(scene: Scene) -> Scene:
         for name, base in find_bases(scene, arms, standing).items()
     }
     return scene.model_copy(update={"arms": {**scene.arms, **specs}})
+
+
+def _with_bases_of_robots(scene: Scene) -> Scene:
+    """Bases of robots are found like those that move, with joints where they may vary."""
+    open_ones = {name: spec for name, spec in scene.robots.items() if spec.open_base}
+    moving = {}
+    for name, spec in open_ones.items():
+        place = spec.base.model_dump(include={"xyz", "rpy", "quaternion_xyzw"})
+        base = RobotBaseSpec(**place, moves=in_order(spec.open_base))
+        moving[name] = spec.model_copy(update={"base": base, "posture": SOLVE})
+    robots = load_robots(scene.model_copy(update={"robots": {**scene.robots, **moving}}))
+    found = {}
+    for name, spec in open_ones.items():
+        # the joints of the base are the first ones
+        displacement = robots.postures[name].round(DECIMALS)[: len(spec.open_base)]
+        base = spec.base.displaced(dict(zip(in_order(spec.open_base), displacement, strict=True)))
+        found[name] = spec.model_copy(update={"base": base, "posture": SOLVE})
+    return scene.model_copy(update={"robots": {**scene.robots, **found}})
 
 
 def load_robots(scene: Scene, like: System | None = None, seek: bool = True) -> Robots:

@@ -12,14 +12,14 @@ from multiarm.terminal.console import output
 
 if TYPE_CHECKING:
     from multiarm.dynamics.system import System
-    from multiarm.scene import ArmSpec
+    from multiarm.scene import ArmSpec, RobotSpec
     from multiarm.scene.trunks import ArmGroup
 
 
 def pose(scene: SceneFile, no_code: NoCode = False) -> None:
     """Find the postures that a scene leaves to the program, and the places to stand.
 
-    Postures are found of arms and robots that have none, or `posture: solve`; places of arms with
+    Postures are found of arms and robots that have none, or `posture: solve`; places of those with
     `base: {solve: [x, y, yaw]}`. Printed are joint positions from base to tip, in rad, of sliding
     joints in m, and bases in m and rad, as a scene has them: copy them into it. Of a robot with
     tips the joints of a moving base come first, then those of its tree. It is an error if an arm
@@ -29,7 +29,7 @@ def pose(scene: SceneFile, no_code: NoCode = False) -> None:
     from multiarm.scene.joint_values import SOLVE
 
     loaded = scene_to_run(scene, no_code)
-    robots = {**loaded.arms, **loaded.robots}
+    robots: dict[str, ArmSpec | RobotSpec] = {**loaded.arms, **loaded.robots}
     open_ones = [name for name, robot in robots.items() if robot.posture in (None, SOLVE)]
     if not open_ones:
         noun = "robot" if loaded.robots else "arm"
@@ -44,7 +44,9 @@ def pose(scene: SceneFile, no_code: NoCode = False) -> None:
         if name not in positions:  # an arm on a trunk that moves
             text = f"posture: {_written(_of_robot(system, loaded.group_of(name), name))}"
         else:
-            base = _base(loaded.arms[name], system.scene.arms[name]) if name in loaded.arms else ""
+            solved: dict[str, ArmSpec | RobotSpec]
+            solved = {**system.scene.arms, **system.scene.robots}
+            base = _base(robots[name], solved[name])
             text = f"{base}posture: {_written(positions[name])}"
         output().print(f"{name}: {{{text}}}", markup=False, soft_wrap=True)
 
@@ -57,10 +59,12 @@ def _of_robot(system: System, group: ArmGroup, arm: str) -> list[float]:
     return [table[joint] for joint in group.joints[arm]]
 
 
-def _base(written: ArmSpec, solved: ArmSpec) -> str:
-    """The base of an arm whose place was sought, as a scene has it; empty where it was written."""
+def _base(written: ArmSpec | RobotSpec, solved: ArmSpec | RobotSpec) -> str:
+    """The base of a robot whose place was sought, as a scene has it; empty where it was written."""
     sought = {"xyz" if name in ("x", "y", "z") else "rpy" for name in written.open_base}
     keys = sought | written.base.model_fields_set
+    if solved.base.quaternion_xyzw is None and "quaternion_xyzw" in keys:
+        keys = {"xyz", "rpy"}
     entries = [
         f"{key}: {_written(getattr(solved.base, key))}"
         for key in ("xyz", "rpy", "quaternion_xyzw")

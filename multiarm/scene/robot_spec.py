@@ -24,7 +24,7 @@ from typing_extensions import Self
 from multiarm.errors import SceneError
 from multiarm.scene.code import located
 from multiarm.scene.faults import fault_at, invalid, listed, shown, unknown
-from multiarm.scene.joint_values import Posture
+from multiarm.scene.joint_values import SOLVE, Posture
 from multiarm.scene.model_files import RobotModel
 from multiarm.scene.object import Inertia
 from multiarm.scene.resolution import (
@@ -41,12 +41,21 @@ from multiarm.scene.resolution import (
 from multiarm.scene.robots import arm_ends
 from multiarm.scene.spec import Spec
 from multiarm.scene.urdf import JointOutline, Mimic, RobotOutline
-from multiarm.scene.values import BaseTurn, Number, Pose, Positive, Range, TipName, Vec6
+from multiarm.scene.values import (
+    BaseTurn,
+    Number,
+    Pose,
+    Positive,
+    Range,
+    TipName,
+    Vec6,
+    roll_pitch_yaw,
+)
 
 Direction = Literal["x", "y", "z", "yaw"]
-_DIRECTIONS: tuple[str, ...] = get_args(Direction)
+DIRECTIONS: tuple[str, ...] = get_args(Direction)
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}  # of the others: z
-BASE_JOINTS = tuple(f"base_{direction}" for direction in _DIRECTIONS)
+BASE_JOINTS = tuple(f"base_{direction}" for direction in DIRECTIONS)
 """Names of the joints that may move a base."""
 FREE: Literal["free"] = "free"
 """How a base moves that floats."""
@@ -60,17 +69,22 @@ def _moves(value: Any) -> Any:
         return value
     if not isinstance(value, list | tuple):
         raise invalid(
-            f"must be {DIFFERENTIAL!r}, {FREE!r} or a list of some of {', '.join(_DIRECTIONS)}, "
+            f"must be {DIFFERENTIAL!r}, {FREE!r} or a list of some of {', '.join(DIRECTIONS)}, "
             f"got {shown(value)}"
         )
     for direction in value:
-        if direction not in _DIRECTIONS:
-            raise invalid(unknown("direction", direction, _DIRECTIONS))
+        if direction not in DIRECTIONS:
+            raise invalid(unknown("direction", direction, DIRECTIONS))
     return value
 
 
 FLOATING_BASE = "the floating base"
 """In place of a joint, what carries the links next to the root of a robot that floats."""
+
+
+def in_order(directions: Iterable[str]) -> list[str]:
+    """Directions in the order of the joints of a base."""
+    return [name for name in DIRECTIONS if name in directions]
 
 
 class RobotBaseSpec(Pose):
@@ -86,6 +100,10 @@ class RobotBaseSpec(Pose):
     'base_yaw'. 'differential': it moves as by [x, y, yaw], on wheels below its origin that do not
     slip sideways, so that it drives along its own x axis and turns. 'free': it floats, from the
     pose that is written. Absent: it is fixed."""
+    solve: tuple[Direction, ...] = ()
+    """Of a base that is fixed or floats: the directions, of x, y, z, yaw, along and about the axes
+    of the pose that is written, in which the program finds where it stands, together with the
+    posture. A base that moves in directions starts where 'posture: solve' finds it."""
     limits: dict[Direction, Range] = Field(default_factory=dict)
     """Ends of the range [m] or [rad], a table by direction; others have none."""
     effort: dict[Direction, Positive] = Field(default_factory=dict)
@@ -101,6 +119,13 @@ class RobotBaseSpec(Pose):
 
     @model_validator(mode="after")
     def _fits_what_moves(self) -> Self:
+        if self.solve and self.directions:
+            raise invalid(
+                "'solve' is of a base that is fixed or floats; one that moves has its place in its "
+                "joints, which 'posture: solve' finds: remove 'solve'"
+            )
+        if len(set(self.solve)) < len(self.solve):
+            raise invalid(f"'solve' names a direction twice: {listed(self.solve)}")
         if self.floats:
             if self.limits or self.effort:
                 raise invalid(
@@ -114,15 +139,16 @@ class RobotBaseSpec(Pose):
                 "other bases are those of their joints, in 'velocity'"
             )
         moves = self.directions
-        in_order = [name for name in _DIRECTIONS if name in moves]
-        if list(moves) != in_order:
+        if list(moves) != in_order(moves):
             twice = len(set(moves)) < len(moves)
             why = (
                 "each direction is named once"
                 if twice
                 else "the joints of a base are in the order x, y, z, yaw: it slides, then turns"
             )
-            raise invalid(f"'moves': {why}; write [{', '.join(in_order)}], got {shown(moves)}")
+            raise invalid(
+                f"'moves': {why}; write [{', '.join(in_order(moves))}], got {shown(moves)}"
+            )
         for key in ("limits", "effort"):
             idle = [name for name in getattr(self, key) if name not in moves]
             if idle:
@@ -136,6 +162,16 @@ class RobotBaseSpec(Pose):
                 "moves: [x, y, yaw], or remove them"
             )
         return self
+
+    def displaced(self, displacement: Mapping[str, float]) -> Self:
+        """The same base, found at displacements [m, rad] in the directions of ``solve``."""
+        moved = Pose(
+            xyz=[displacement.get(direction, 0.0) for direction in "xyz"],
+            rpy=[0.0, 0.0, displacement.get("yaw", 0.0)],
+        )
+        pose = self.matrix() @ moved.matrix()
+        place = {"xyz": tuple(pose[:3, 3].tolist()), "rpy": roll_pitch_yaw(pose[:3, :3])}
+        return self.model_copy(update={**place, "quaternion_xyzw": None, "solve": ()})
 
     @property
     def floats(self) -> bool:
@@ -158,7 +194,7 @@ class RobotBaseSpec(Pose):
         turning = "continuous" if limits is None else "revolute"
         lower, upper = limits or (-math.inf, math.inf)
         return JointOutline(
-            name=BASE_JOINTS[_DIRECTIONS.index(direction)],
+            name=BASE_JOINTS[DIRECTIONS.index(direction)],
             kind=turning if direction == "yaw" else "prismatic",
             parent="",
             child=root,
@@ -196,6 +232,11 @@ class RobotSpec(RobotModel):
     mimic: dict[str, MimicSpec] = Field(default_factory=dict)
     """Joints that copy others, with those of the file or in place of them: a table 'joint: {of:
     leader}'."""
+
+    @property
+    def open_base(self) -> tuple[Direction, ...]:
+        """Directions in which the base is found."""
+        return self.base.solve
 
 
 def resolve_robot(
@@ -256,6 +297,9 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     for end, link in ends.items():
         way = outline.movable(link)
         examination.ways[end] = tuple(joint.name for joint in way if joint.name in names)
+    if spec.base.solve and spec.posture not in (None, SOLVE):
+        text = "a base that is found has its posture with it; write 'posture: solve', or none"
+        examination.add_fault("base", "solve", text=text)
     posture, velocity = start_of(spec, moving, examination)
     _warn_of_a_base_that_starts_elsewhere(spec, base, examination)
     package_dirs = mesh_folders(spec, outline, examination)

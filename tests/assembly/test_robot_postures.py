@@ -27,6 +27,7 @@ from multiarm.robots.robot import Robot, RobotFiles
 from multiarm.robots.terms import TreeStructure
 from multiarm.scene import ObjectSpec, Scene, parse_scene
 from multiarm.scene.robots import find_robot
+from multiarm.spatial import quaternion_to_matrix
 
 FAR_OFF = ObjectSpec(mass=1.0, shape={"sphere": 1e-3}, pose={"xyz": [0, 0, 50.0]})
 X, Y, Z = np.eye(3)
@@ -594,3 +595,39 @@ def test_a_robot_on_wheels_drives_to_an_object_and_stands_closed():
     assert max(report.gaps.values()) < CLOSED and report.joint_change < 10.0 * CLOSED
     again = ma.compile_system(scene).initial_state()
     assert np.array_equal(again.position, system.initial_state().position)
+
+
+# --- bases that are found -------------------------------------------------------------------------
+
+TWO_BALLS = [
+    {"arm": "tiago/left", "kind": "ball", "at": {"xyz": [0.0, 0.2, 0.0]}},
+    {"arm": "tiago/right", "kind": "ball", "at": {"xyz": [0.0, -0.2, 0.0]}},
+]
+
+
+@pytest.mark.parametrize("moves", [(), "free"])
+def test_a_base_is_found_in_the_directions_that_vary(moves):
+    """Along and about the axes of the pose that is written; the start is closed by Pinocchio."""
+    written = {"xyz": [0.4, -0.3, 0.1], "rpy": [0.0, 0.0, 2.0]}
+    base = written | {"solve": ["yaw", "x", "y"], **({"moves": moves} if moves else {})}
+    tips = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
+    box = {"shape": {"box": [0.4, 0.3, 0.2]}, "mass": 5.0, "pose": {"xyz": [3.0, 2.0, 1.1]}}
+    scene = parse_scene(
+        {
+            "object": box,
+            "robots": {"tiago": {"robot": "tiago_pro", "base": base, "tips": tips}},
+            "joints": TWO_BALLS,
+        }
+    )
+    system = ma.compile_system(scene)
+    state, found = system.initial_state(), system.scene.robots["tiago"].base
+    assert found.solve == () and found.moves == moves
+    assert found.xyz[2] == written["xyz"][2]
+    assert np.allclose(found.rotation()[2], [0.0, 0.0, 1.0], rtol=0.0, atol=1e-15)
+    distance = np.linalg.norm(np.subtract(found.xyz[:2], box["pose"]["xyz"][:2]))
+    assert 0.3 < distance < 1.2  # it stands before the box
+    for tip, y in (("left", 0.2), ("right", -0.2)):
+        place = state.object_position + quaternion_to_matrix(state.object_quaternion_xyzw)[:, 1] * y
+        robot, base_of = system.arms["tiago"], state.bases.get("tiago")
+        held = robot.tip_pose(state.joint_positions["tiago"], tip, base_of)[:3, 3]
+        assert np.allclose(held, place, rtol=0.0, atol=1e-9)

@@ -202,11 +202,22 @@ def test_every_link_of_a_robot_on_a_moving_base_moves():
         ({"moves": ["x"], "effort": {"x": 0}}, "$.robots.tiago.base.effort.x"),
         ({"moves": ["x"], "inertia": [1, 1, 3]}, "$.robots.tiago.base.inertia"),
         ({"mass": 3}, "$.robots.tiago.base"),
+        ({"solve": ["roll"]}, "$.robots.tiago.base.solve[0]"),
+        ({"solve": ["x", "x"]}, "$.robots.tiago.base"),
+        ({"solve": ["x"], "moves": ["x", "y"]}, "$.robots.tiago.base"),
+        ({"solve": ["x"], "moves": "differential"}, "$.robots.tiago.base"),
     ],
 )
 def test_bases_that_cannot_be_are_refused_and_nothing_else(base, place):
     with refused(SceneError, place) as caught:
         scene_with({"tiago": tiago(base=base)}, {"arm": "tiago/left", "kind": "weld"})
+    assert len(caught.value.faults) == 1
+
+
+def test_a_base_that_is_found_has_no_posture_of_its_own():
+    with refused(SceneError, "$.robots.tiago.base.solve") as caught:
+        spec = tiago(base={"solve": ["x", "yaw"]}, posture=15 * [0.0])
+        scene_with({"tiago": spec}, {"arm": "tiago/left", "kind": "weld"})
     assert len(caught.value.faults) == 1
 
 
