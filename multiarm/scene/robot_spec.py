@@ -38,7 +38,6 @@ from multiarm.scene.resolution import (
     start_of,
     way_to,
 )
-from multiarm.scene.robots import arm_ends
 from multiarm.scene.spec import Spec
 from multiarm.scene.urdf import JointOutline, Mimic, RobotOutline
 from multiarm.scene.values import (
@@ -223,7 +222,9 @@ class RobotSpec(RobotModel):
     base: RobotBaseSpec = RobotBaseSpec()
     """The root link in the world, and the directions in which it moves."""
     tips: dict[TipName, str] = Field(default_factory=dict)
-    """A table 'name: link'. Joints of the scene name them as 'robot/name'."""
+    """A table 'name: link'. Joints of the scene name them as 'robot/name'. What lies on the way to
+    a tip, or to a link that a joint of the scene names, moves. Of a robot without them every joint
+    moves."""
     posture: Posture | None = None
     """Positions [rad] or [m] at the start, one number per moving joint: those of the base, then the
     tree's, depth first and by their names below a link. Joints that are not named are at 0, or at
@@ -273,6 +274,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     if outline is None:
         return examination
     ends = {**spec.tips, **{link: link for link in links if link in outline.links}}
+    ends = ends or {link: link for link in _last_links(spec, outline)}
     joints = _with_couplings(spec, outline, examination)
     on_way = _joints_on_the_way(spec, outline, ends, examination)
     if on_way is None:
@@ -373,22 +375,24 @@ def _base_fault(spec: RobotSpec, name: str) -> str:
     return f"{name!r} is a joint of the base, and 'lock' holds those of the robot's file; {remedy}"
 
 
+def _last_links(spec: RobotSpec, outline: RobotOutline) -> tuple[str, ...]:
+    """Of each joint that moves and has none after it, the last link; else the root link."""
+    last: dict[str, str] = {}
+    for link in (*spec.usual_tips(outline), *outline.leaves):
+        for joint in outline.movable(link)[-1:]:
+            last.setdefault(joint.name, link)
+    before = {joint.name for link in last.values() for joint in outline.movable(link)[:-1]}
+    ends = tuple(link for joint, link in last.items() if joint not in before)
+    return ends or (outline.root,)
+
+
 def _joints_on_the_way(
     spec: RobotSpec, outline: RobotOutline, ends: Mapping[str, str], examination: Examination
 ) -> list[JointOutline] | None:
     """Movable joints on the way to a tip, in the order of the model.
 
-    None where there is no tip, or one of them names no link.
+    None where one of them names no link.
     """
-    if not ends:
-        last = sorted(arm_ends(outline), key=lambda link: -len(outline.movable(link)))
-        usual = spec.usual_tips(outline) or last or outline.leaves
-        examination.add_fault(
-            "tips",
-            text=f"needs at least one tip, such as {{left: {usual[0]}}}; links that may be tips "
-            f"are {listed(usual)}; '{spec.shown_by}' shows all links",
-        )
-        return None
     on_way: dict[str, str] = {}
     missing = False
     for name, link in ends.items():

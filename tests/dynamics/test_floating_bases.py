@@ -107,6 +107,25 @@ def test_a_key_of_a_base_that_is_none_is_named(satellite):
         satellite.state(bases={"sat": {"twist": [0.0] * 6, "positon": [0, 0, 0]}})
 
 
+def test_a_robot_without_tips_falls_and_turns_as_pinocchio_says(rng):
+    """All of its joints move; its accelerations are those of Pinocchio with a free flyer."""
+    robot = {"robot": "ur5", "base": {"moves": "free"}}
+    box = {"shape": {"sphere": 0.1}, "mass": 1.0, "pose": {"xyz": [0, 0, 9.0]}}
+    scene = {"gravity": DOWN, "object": box, "robots": {"sat": robot}, "joints": []}
+    system = ma.compile_system(parse_scene(scene))
+    assert list(system.kinematics().tips) == ["sat/tool0"]
+    ev = ma.evaluate(system, state=random_state(system, rng))
+    model = pin.buildModelFromUrdf(str(system.arms["sat"].files.urdf), pin.JointModelFreeFlyer())
+    state = ev.state
+    base = state.bases["sat"]
+    turn = Rotation.from_quat(base.quaternion_xyzw).as_matrix()
+    q = np.concatenate([base.position, base.quaternion_xyzw, state.joint_positions["sat"]])
+    in_base = [turn.T @ part for part in np.split(base.twist, 2)]
+    v = np.concatenate([*in_base, state.joint_velocities["sat"]])
+    a = pin.aba(model, model.createData(), q, v, np.zeros(model.nv))
+    np.testing.assert_allclose(ev.joint_accelerations["sat"], a[6:], atol=1e-11 * abs(a).max())
+
+
 def test_tips_move_as_pinocchio_says(satellite, rng):
     state = random_state(satellite, rng)
     tip, base = satellite.kinematics(state).tips["sat/hand"], state.bases["sat"]

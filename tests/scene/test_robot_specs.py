@@ -140,6 +140,20 @@ def test_a_robot_with_one_tip_has_the_joints_and_the_start_of_an_arm():
     assert np.array_equal(robot.posture, arm.posture) and arm.tips == {"": robot.tips["tool"]}
 
 
+def test_every_joint_moves_of_a_robot_without_tips():
+    """As many as Pinocchio's model of the file has; the last link of each limb is a tip."""
+    spec = RobotSpec(robot="talos", base={"moves": "free"})
+    resolved = resolve_robot(spec)
+    full = pin.buildModelFromUrdf(str(resolved.urdf))
+    assert resolved.joint_names == tuple(full.names)[1:] and resolved.locked == {}
+    carriers = {full.frames[full.getFrameId(link)].parentJoint for link in resolved.tips.values()}
+    assert carriers == {i for i in range(1, full.njoints) if not len(full.children[i])}
+    assert len(resolved.tips) == len(carriers)
+    # where a joint of the scene names a link, that is what moves
+    ends = resolve_robot(spec, ["arm_left_7_link"]).joint_names
+    assert ends[-1] == "arm_left_7_joint" and len(ends) == 9
+
+
 def test_links_that_joints_name_move_as_tips_do():
     scene = scene_with({"tiago": tiago()}, weld("tiago/head_2_link", "world"))
     assert scene.links_in_joints("tiago") == ("head_2_link",)
@@ -521,7 +535,6 @@ def test_joints_have_names_of_their_own(joints, count):
         ({"world": tiago()}, "$.robots.world"),
         ({"floor": tiago()}, "$.robots.floor"),
         ({"a/b": tiago()}, "$.robots['a/b']"),
-        ({"tiago": {"robot": "tiago_pro"}}, "$.robots.tiago.tips"),
         ({"tiago": tiago(tips={"a/b": "arm_left_7_link"})}, "$.robots.tiago.tips['a/b']"),
         ({"tiago": tiago(tips={"left": "arm_left_8_link"})}, "$.robots.tiago.tips.left"),
         ({"tiago": tiago(tips={"base_link": "arm_left_7_link"})}, "$.robots.tiago.tips.base_link"),
