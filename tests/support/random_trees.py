@@ -114,6 +114,13 @@ def _joint_text(rng: np.random.Generator, k: int, parent: int, mimic: str) -> st
     axis = np.eye(3)[rng.integers(3)] if rng.random() < 0.5 else rng.standard_normal(3)
     rpy = Rotation.from_matrix(random_rotation(rng)).as_euler("xyz")
     xyz = rng.uniform(0.1, 0.3) * random_rotation(rng)[0]
+    return _placed_joint(k, parent, str(kind), axis, (xyz, rpy), mimic)
+
+
+def _placed_joint(
+    k: int, parent: int, kind: str, axis: Any, origin: tuple[Any, Any], mimic: str = ""
+) -> str:
+    xyz, rpy = origin
     return (
         f"<joint name='joint_{k}' type='{kind}'><parent link='link_{parent}'/>"
         f"<child link='link_{k}'/><origin xyz='{_numbers(xyz)}' rpy='{_numbers(rpy)}'/>"
@@ -157,6 +164,19 @@ def random_hand(rng: np.random.Generator, path: Path, fingers: list[int], copies
                 mimic = f"<mimic joint='joint_{rng.integers(1, k)}' multiplier='0.8' offset='0.1'/>"
             text += _link_text(rng, f"link_{k}")
             text += _joint_text(rng, k, k - 1 if j else 0, mimic)
+    path.write_text(f"<robot name='{path.stem}'>\n{text}</robot>\n")
+
+
+def planar_chain(rng: np.random.Generator, path: Path, joints: int) -> None:
+    """Write a URDF of ``link_0`` to ``link_n`` that move in planes across z."""
+    text = _link_text(rng, "link_0")
+    for k in range(1, joints + 1):
+        angle, slides = rng.uniform(-np.pi, np.pi), rng.random() < 0.25
+        kind, axis = ("prismatic", [np.cos(angle), np.sin(angle), 0.0]) if slides else (
+            "revolute", [0.0, 0.0, 1.0],
+        )  # fmt: skip
+        origin = rng.uniform(-0.3, 0.3, 3), [0.0, 0.0, rng.uniform(-np.pi, np.pi)]
+        text += _link_text(rng, f"link_{k}") + _placed_joint(k, k - 1, kind, axis, origin)
     path.write_text(f"<robot name='{path.stem}'>\n{text}</robot>\n")
 
 
@@ -211,6 +231,19 @@ def _on_wheels(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any]
     moments = random_moments(rng, mass, 0.3)
     base = {"moves": DIFFERENTIAL, "mass": mass, "inertia": moments.tolist()}
     return {**spec, "base": {**spec["base"], **base}}
+
+
+def _on_some_base(rng: np.random.Generator, spec: dict[str, Any]) -> dict[str, Any]:
+    """The robot on a base that is fixed, moves, floats or stands on wheels."""
+    on_base = [lambda _, spec: spec, _with_moves, _floating, _on_wheels][rng.integers(4)]
+    return on_base(rng, spec)
+
+
+def _arm(rng: np.random.Generator, path: Path) -> dict[str, Any]:
+    """The table of an arm of three to seven joints as scenes have it without robots."""
+    count = int(rng.integers(3, 8))
+    random_tree(rng, path, count, branches=False)
+    return {"urdf": str(path), "tip": f"link_{count}", "base": pose_of(random_pose(rng, 0.5))}
 
 
 def real_robot(rng: np.random.Generator, name: str, *, moves: bool = False) -> dict[str, Any]:
@@ -304,7 +337,7 @@ def holds(robots: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
-    """Draw postures that obey mimic joints, and lists of constant torques."""
+    """Draw postures that obey mimic joints, but for those written, and lists of torques."""
     trees, torques = read_tree_scene(scene), {}
     for name, robot in trees.robots.items():
         q = rng.uniform(-1.0, 1.0, len(robot.joints))
@@ -319,7 +352,7 @@ def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
         for mimic in robot.mimics:  # leaders stand before their followers
             leader = q[robot.joints.index(mimic.leader)]
             q[robot.joints.index(mimic.joint)] = mimic.multiplier * leader + mimic.offset
-        robot_tables(scene)[name]["posture"] = q.tolist()
+        q = np.array(robot_tables(scene)[name].setdefault("posture", q.tolist()))
         torques[name] = rng.uniform(-3.0, 3.0, q.size).tolist()
     if torques:
         scene["control"] = {"kind": "constant", "torques": torques}
@@ -328,7 +361,8 @@ def with_posture(rng: np.random.Generator, scene: dict[str, Any]) -> None:
 def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | None:
     """The scene with postures, closed joints and velocities.
 
-    None where it is ill-conditioned, or a joint is between bodies that cannot move apart.
+    None where it is ill-conditioned, where a joint is between bodies that cannot move apart, or
+    where no acceleration keeps all joints closed at the velocities drawn.
     """
     scene = {"name": "random trees", "gravity": [0.0, 0.0, -9.81], **scene}
     with_posture(rng, scene)
@@ -347,6 +381,15 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
     values = np.linalg.svd(couplings.A, compute_uv=False) / np.linalg.norm(couplings.A, 2)
     if np.any((values > EXACTLY_REDUNDANT) & (values < WELL_CONDITIONED)):
         return None
+    state = in_motion(rng, scene, trees)
+    if not _moves_on(trees, state):
+        return None
+    return RandomTrees(scene, trees, state, constant_torques(scene, trees))
+
+
+def in_motion(rng: np.random.Generator, scene: dict[str, Any], trees: TreeScene) -> TreeState:
+    """Draw velocities that keep the joints of a scene closed, write them, and give the start."""
+    drawn = start_of(scene, trees)
     rates = {name: rng.uniform(-1.0, 1.0, q.size) for name, q in drawn.joint_positions.items()}
     objects, bases = (
         {name: {**frame, "twist": rng.uniform(-1.0, 1.0, 6)} for name, frame in frames.items()}
@@ -359,7 +402,16 @@ def finish(rng: np.random.Generator, scene: dict[str, Any]) -> RandomTrees | Non
         spec["velocity"] = state.joint_velocities[name].tolist()
         if name in state.bases:
             spec["base"]["twist"] = state.bases[name]["twist"].tolist()
-    return RandomTrees(scene, trees, state, constant_torques(scene, trees))
+    return state
+
+
+def _moves_on(trees: TreeScene, state: TreeState) -> bool:
+    """Whether some accelerations keep the joints closed, where equations repeat others."""
+    motions = Motions(trees, state)
+    couplings = collect(trees, motions.frame, motions.coordinates.size, motions.coordinates.rates)
+    a = np.linalg.lstsq(couplings.A, -couplings.gamma, rcond=EXACTLY_REDUNDANT)[0]
+    left = np.abs(couplings.A @ a + couplings.gamma)
+    return bool(np.max(left, initial=0.0) < 1e-9 * max(1.0, np.max(np.abs(a), initial=0.0)))
 
 
 def _is_rigid(connection: Connection) -> bool:
@@ -373,11 +425,7 @@ def arms_only(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     """Two to four arms as scenes have them without robots: chains of three to seven joints."""
     arms, joints = {}, []
     for k in range(int(rng.integers(2, 5))):
-        path, count = folder / f"arm_{k}.urdf", int(rng.integers(3, 8))
-        random_tree(rng, path, count, branches=False)
-        arms[f"arm_{k}"] = {
-            "urdf": str(path), "tip": f"link_{count}", "base": pose_of(random_pose(rng, 0.5)),
-        }  # fmt: skip
+        arms[f"arm_{k}"] = _arm(rng, folder / f"arm_{k}.urdf")
         joints.append({"arm": f"arm_{k}", **random_kind(rng)})
     return {"object": _object(rng), "arms": arms, "joints": joints}
 
@@ -556,8 +604,7 @@ def several_objects(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     """
     names = list(OBJECTS[: int(rng.integers(2, 5))])
     porter = tree_robot(rng, folder / "porter.urdf", 2, mimic=bool(rng.random() < 0.3))
-    on_base = [lambda _, spec: spec, _with_moves, _floating, _on_wheels][rng.integers(4)]
-    robots = {"porter": on_base(rng, porter)}
+    robots = {"porter": _on_some_base(rng, porter)}
     if rng.random() < 0.4:
         robots["helper"] = tree_robot(rng, folder / "helper.urdf", int(rng.integers(1, 3)))
     held = [str(name) for name in rng.permutation(names)]
@@ -567,10 +614,7 @@ def several_objects(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     ]
     scene: dict[str, Any] = {"robots": robots}
     if rng.random() < 0.5:
-        path, count = folder / "arm.urdf", int(rng.integers(3, 8))
-        random_tree(rng, path, count, branches=False)
-        base = pose_of(random_pose(rng, 0.5))
-        scene["arms"] = {"arm": {"urdf": str(path), "tip": f"link_{count}", "base": base}}
+        scene["arms"] = {"arm": _arm(rng, folder / "arm.urdf")}
         joints.append({"arm": "arm", "object": str(rng.choice(names)), **random_kind(rng)})
     joints += joints_of_objects(rng, names)
     return {"objects": {name: _object(rng) for name in names}, **scene, "joints": joints}
@@ -588,6 +632,101 @@ def objects_alone(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
     return {"objects": {name: _object(rng) for name in names}, **scene}
 
 
+def hand_shakes(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Two or three robots of all sorts that hold each other, and objects.
+
+    The robots are a pair, joined once or twice, a chain, a ring, or the first and the last of three
+    are joined past that between them.  The first may be an arm; joints are at tips or other links.
+    An object is held by several of them, by one, or by none.
+    """
+    names = ["left", "right", "third"][: int(rng.integers(2, 4))]
+    scene: dict[str, Any] = {"robots": {}}
+    ends: dict[str, list[str]] = {}
+    for k, name in enumerate(names):
+        path = folder / f"{name}.urdf"
+        if k == 0 and rng.random() < 0.3:
+            scene["arms"], ends[name] = {name: _arm(rng, path)}, [name]
+            continue
+        robot = tree_robot(rng, path, 2, mimic=bool(rng.random() < 0.25))
+        scene["robots"][name] = _on_some_base(rng, robot)
+        ends[name] = holds({name: robot})
+        if rng.random() < 0.3:
+            ends[name].append(f"{name}/{rng.choice(_leaves(path)[2:])}")
+    objects = list(OBJECTS[: int(rng.integers(1, 3))])
+    joints = _shakes(rng, names, ends)
+    past = len(joints) == 1 and len(names) == 3
+    for name in names:
+        for tip in ends[name]:
+            if rng.random() < 0.4 or (past and name == "right" and tip == ends[name][0]):
+                most = int(rng.choice([3, 6]))
+                held = str(rng.choice(objects))
+                joints.append({"between": [tip, held], **random_kind(rng, most)})
+    if rng.random() < 0.25:
+        tip = str(rng.choice(ends[names[-1]]))
+        joints.append({"between": [tip, WORLD], **random_kind(rng, most_rows=3)})
+    if rng.random() < 0.2:
+        pair = ends[names[-1]][:2]
+        joints.append({"between": pair, "name": "loop", **random_kind(rng, most_rows=2)})
+    if len(objects) > 1 and rng.random() < 0.5:
+        joints.append({"between": objects, **random_kind(rng)})
+    return {"objects": {name: _object(rng) for name in objects}, **scene, "joints": joints}
+
+
+def _shakes(
+    rng: np.random.Generator, names: list[str], ends: dict[str, list[str]]
+) -> list[dict[str, Any]]:
+    """The joints between robots of :func:`hand_shakes`."""
+    if len(names) == 2:
+        pairs = [(0, 1)] * int(rng.choice([1, 1, 2]))
+    else:
+        pairs = [[(0, 1), (1, 2)], [(0, 1), (1, 2), (2, 0)], [(0, 2)]][rng.integers(3)]
+    joints = []
+    for k, pair in enumerate(pairs):
+        between = [str(rng.choice(ends[names[i]])) for i in rng.permutation(pair)]
+        closes = len(pairs) == 3 or (len(names) == 2 and k == 1)
+        kind = random_kind(rng, most_rows=3 if closes else 6)
+        joints.append({"between": between, "name": f"shake_{k}", **kind})
+    if len(names) == 2 and rng.random() < 0.1:
+        pair = joints[0]["between"]
+        joints = [{"between": pair, "name": name, "kind": "weld"} for name in ("shake", "again")]
+    return joints
+
+
+def stretched_arms(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """UR5s whose elbows are stretched out, whose wrists are straight, or both."""
+    arms, joints = {}, []
+    for k in range(int(rng.integers(2, 4))):
+        posture = rng.uniform(-1.5, 1.5, 6)
+        straight = [(), (2,), (4,), (2, 4)][rng.integers(4)] if k else (2,)
+        posture[list(straight)] = 0.0
+        arms[f"arm_{k}"] = {
+            "robot": "ur5", "tip": "tool0", "posture": posture.tolist(),
+            "base": pose_of(random_pose(rng, 0.5)),
+        }  # fmt: skip
+        joints.append({"arm": f"arm_{k}", **random_kind(rng)})
+    joints[0] = {"arm": "arm_0", "kind": "weld"}
+    return {"object": _object(rng), "arms": arms, "joints": joints}
+
+
+def planar_arms(rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+    """Arms that move in one plane, in which welds and balls hold the object several times over.
+
+    Now and then a joint is written twice.
+    """
+    plane = random_rotation(rng)
+    arms, joints = {}, []
+    for k in range(int(rng.integers(2, 5))):
+        path, count = folder / f"arm_{k}.urdf", int(rng.integers(2, 5))
+        planar_chain(rng, path, count)
+        base = pose_of(pin.SE3(plane, rng.uniform(-0.5, 0.5, 3)))
+        arms[f"arm_{k}"] = {"urdf": str(path), "tip": f"link_{count}", "base": base}
+        joints.append({"arm": f"arm_{k}", "kind": str(rng.choice(["weld", "ball"]))})
+    if rng.random() < 0.3:
+        again = {"between": ["arm_0", OBJECT], "name": "again"}
+        joints.append({**again, "kind": joints[0]["kind"]})
+    return {"object": _object(rng), "arms": arms, "joints": joints}
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
     family.__name__: family
     for family in (
@@ -596,8 +735,17 @@ FAMILIES: dict[str, Callable[[np.random.Generator, Path], dict[str, Any]]] = {
     )
 }  # fmt: skip
 OF_SEVERAL_OBJECTS = {family.__name__: family for family in (several_objects, objects_alone)}
-# With those of robots that float, of whose state the base's motion is a part, and of objects.
-ALL_FAMILIES = {**FAMILIES, "floating_bases": floating_bases, **OF_SEVERAL_OBJECTS}
+OF_ROBOTS_JOINED = {"hand_shakes": hand_shakes}
+SINGULAR = {family.__name__: family for family in (stretched_arms, planar_arms)}
+# With those of robots that float, of whose state the base's motion is a part, of objects, of robots
+# that hold each other, and of arms that cannot follow all that their joints ask for.
+ALL_FAMILIES = {
+    **FAMILIES,
+    "floating_bases": floating_bases,
+    **OF_SEVERAL_OBJECTS,
+    **OF_ROBOTS_JOINED,
+    **SINGULAR,
+}
 
 
 def draw_trees(family: str, rng: np.random.Generator, folder: Path) -> RandomTrees:

@@ -1,0 +1,144 @@
+"""Judge evaluations and certificates of random scenes of all families: ``--help`` lists options.
+
+Every night all of them are judged (``.github/workflows/random_scenes.yml``); the tests take a
+sample.  Evaluations are compared with dense algebra that shares nothing with the package, and ends
+of runs with SciPy on that algebra.  Prints the worst figures of every family, and exits with 1 when
+one is above its bound, with the seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from random_trees import (
+    ALL_FAMILIES,
+    WELL_CONDITIONED,
+    RandomTrees,
+    draw_moving_trees,
+    draw_trees,
+)
+from scipy.spatial.transform import Rotation
+from tree_models import TreeState
+from tree_motion import dense_motion, tree_state
+from tree_oracle import centres_of_seconds, evaluation_errors, solve_minimal
+
+import multiarm as ma
+from multiarm.errors import MultiarmError
+from multiarm.scene import parse_scene
+
+# Rounding times the square of the condition of the equations, for sums of some tens of terms: 1e-9.
+AGREEMENT = 40.0 * float(np.finfo(float).eps) / WELL_CONDITIONED**2
+SOLVERS = (("node", "pinocchio"), ("dense", "pinocchio"), ("node", "compiled"))
+ACCURACY, DURATION = 1e-6, 0.05  # [m, rad], [s]
+WRONG = float("inf")
+
+
+def evaluation_figures(drawn: RandomTrees) -> dict[str, float]:
+    """Of each solver the relative error of accelerations and of determined wrenches.
+
+    Infinite where rank or determined wrenches are other ones, or where the scene is refused.
+    """
+    solution = solve_minimal(drawn.trees, drawn.state, drawn.torques)
+    about = centres_of_seconds(drawn.trees, drawn.state)
+    figures = {}
+    for solver, arms in SOLVERS:
+        scene = {**drawn.scene, "run": {**drawn.scene.get("run", {}), "solver": solver}}
+        try:
+            ev = ma.evaluate(ma.compile_system(parse_scene(scene), arms=arms))
+        except MultiarmError as error:
+            print(f"{solver}, {arms}: {error}", flush=True)
+            figures[f"{solver}, {arms}"] = WRONG
+            continue
+        unique = {name: bool(np.all(ev.contact_forces_unique[name])) for name in solution.unique}
+        alike = ev.rank == solution.rank and unique == solution.unique
+        error = evaluation_errors(solution, ev, about)
+        figures[f"{solver}, {arms}"] = error if alike and np.isfinite(error) else WRONG
+    return figures
+
+
+def certified_error(drawn: RandomTrees) -> tuple[bool | None, float]:
+    """What the certificate of a run says, and the true error of its end by the accuracy asked for.
+
+    None where the run has not come to its end.
+    """
+    run = ma.simulate(ma.compile_system(parse_scene(drawn.scene)), DURATION, accuracy=ACCURACY)
+    if run.certificate is None or run.status != "completed":
+        print(f"{run.status}: {run.message}", flush=True)
+        return None, WRONG
+    exact = dense_motion(drawn.trees, drawn.state, drawn.torques, DURATION)
+    error = distance(tree_state(run, -1), exact) / ACCURACY
+    return bool(run.certificate["met"]), error
+
+
+def distance(state: TreeState, exact: TreeState) -> float:
+    """Largest difference of places, angles and joints [m, rad]."""
+    gaps = [
+        np.max(np.abs(q - exact.joint_positions[name]), initial=0.0)
+        for name, q in state.joint_positions.items()
+    ]
+    for frames, others in ((state.objects, exact.objects), (state.bases, exact.bases)):
+        for name, frame in frames.items():
+            gaps.append(np.linalg.norm(frame["position"] - others[name]["position"]))
+            turns = [Rotation.from_quat(f["quaternion_xyzw"]) for f in (frame, others[name])]
+            gaps.append((turns[0] * turns[1].inv()).magnitude())
+    return float(max(gaps))
+
+
+def judge_evaluations(family: str, seeds: Iterable[int], folder: Path) -> list[str]:
+    """Print the worst figures of a family; what is wrong."""
+    worst: dict[str, tuple[float, int]] = {}
+    wrong = []
+    for seed in seeds:
+        drawn = draw_trees(family, np.random.default_rng(seed), folder)
+        for solver, figure in evaluation_figures(drawn).items():
+            worst[solver] = max(worst.get(solver, (0.0, seed)), (figure, seed))
+            if not figure < AGREEMENT:
+                wrong.append(f"{family}, seed {seed}: {solver} is off by {figure:.1e}")
+    listed = ", ".join(
+        f"{solver} {figure:.1e} ({seed})" for solver, (figure, seed) in worst.items()
+    )
+    print(f"{family:18} worst relative error (seed): {listed}", flush=True)
+    return wrong
+
+
+def judge_certificates(family: str, seeds: Iterable[int], folder: Path) -> list[str]:
+    """Print what the certificates of a family say, and how far off the runs are."""
+    lines, wrong = [], []
+    for seed in seeds:
+        drawn = draw_moving_trees(family, np.random.default_rng(seed), folder)
+        met, error = certified_error(drawn)
+        lines.append(f"{'met' if met else 'not met'} {error:.1e} ({seed})")
+        if met is None or (met and error > 1.0):
+            wrong.append(f"{family}, seed {seed}: {lines[-1]}")
+    print(f"{family:18} certificate, error / accuracy (seed): {', '.join(lines)}", flush=True)
+    return wrong
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    families: dict[str, Any] = {"choices": list(ALL_FAMILIES), "action": "append"}
+    parser.add_argument("--family", **families, help="only these")
+    parser.add_argument("--number", type=int, default=14, help="evaluations of each family")
+    parser.add_argument("--certificates", type=int, default=2, help="runs of each family")
+    parser.add_argument("--seed", type=int, default=100, help="of the first scene")
+    options = parser.parse_args()
+    wrong = []
+    for family in options.family or ALL_FAMILIES:
+        seeds = range(options.seed, options.seed + options.number)
+        with tempfile.TemporaryDirectory() as folder:
+            wrong += judge_evaluations(family, seeds, Path(folder))
+            wrong += judge_certificates(family, seeds[: options.certificates], Path(folder))
+    print("\n".join(["wrong:", *wrong]) if wrong else "all are right")
+    return bool(wrong)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
