@@ -20,7 +20,7 @@ Z = (0.0, 0.0, 1.0)
 
 
 class Part(NamedTuple):
-    """A link and the joint, called as the link, that moves it about or along its z axis.
+    """A link and the joint that moves it about or along its z axis.
 
     place : 3 floats, of the joint in the parent [m]; rpy : 3 floats, its turn there [rad]
     mass : [kg]; centre : 3 floats [m]; moments : 3 floats, about the centre [kg m^2]
@@ -40,6 +40,16 @@ def _numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
+def joint_of(link: str) -> str:
+    """Name of the joint that moves a link."""
+    return f"{link}_joint"
+
+
+def link_of(joint: str) -> str:
+    """Name of the link that a joint moves."""
+    return joint.removesuffix("_joint")
+
+
 def _text(part: Part) -> str:
     moments = " ".join(
         f"{axes}='{float(moment)!r}'"
@@ -50,7 +60,7 @@ def _text(part: Part) -> str:
     return (
         f"<link name='{part.name}'><inertial><origin xyz='{_numbers(part.centre)}'/>"
         f"<mass value='{float(part.mass)!r}'/><inertia {moments} ixy='0' ixz='0' iyz='0'/>"
-        f"</inertial></link><joint name='{part.name}' type='{kind}'>"
+        f"</inertial></link><joint name='{joint_of(part.name)}' type='{kind}'>"
         f"<parent link='{part.parent}'/><child link='{part.name}'/>"
         f"<origin xyz='{_numbers(part.place)}' rpy='{_numbers(part.rpy)}'/>"
         f"<axis xyz='{_numbers(Z)}'/>{limit}</joint>\n"
@@ -68,6 +78,7 @@ def linkage_scene(
     """The scene of a linkage on the link ``ground``; its URDF is written to ``path``.
 
     ``loops`` are hinges: a link, the hinge's pose there, another link, and the pose there.
+    ``posture`` and ``velocity`` are of the joints, by the link that they move.
     """
     path.write_text(
         f"<robot name='{ROBOT}'><link name='ground'/>\n{''.join(map(_text, parts))}</robot>\n"
@@ -88,8 +99,8 @@ def linkage_scene(
             ROBOT: {
                 "urdf": str(path),
                 "tips": {part.name: part.name for part in parts},
-                "posture": posture,
-                "velocity": velocity,
+                "posture": {joint_of(link): value for link, value in posture.items()},
+                "velocity": {joint_of(link): value for link, value in velocity.items()},
             }
         },
         "joints": joints,
@@ -213,10 +224,10 @@ def bricard_robot_scene(path: Path) -> dict[str, Any]:
 class Squeezer(NamedTuple):
     """Benchmark A03 as the Test Set for Initial Value Problem Solvers has it (Bari, 1998).
 
-    Angles are those of the joints, in the order of ``joints``; all places in metres.
+    Angles are those of the joints of ``links``, in this order; all places in metres.
     """
 
-    joints: tuple[str, ...] = ("K1", "K2", "K3", "K4", "K5", "K6", "K7")
+    links: tuple[str, ...] = ("K1", "K2", "K3", "K4", "K5", "K6", "K7")
     start: tuple[float, ...] = (
         -0.0617138900142764496, 0.0, 0.455279819163070380, 0.222668390165885885,
         0.487364979543842550, -0.222668390165885885, 1.23054744454982119,
@@ -233,7 +244,7 @@ class Squeezer(NamedTuple):
     A: tuple[float, float] = (-0.06934, -0.00227)
     B: tuple[float, float] = (-0.03635, 0.03273)
     C: tuple[float, float] = (0.014, 0.072)
-    on_K3: tuple[float, float] = (0.018, -0.02)  # of the spring
+    on_K3: tuple[float, float] = (0.02, -0.018)  # of the spring
     stiffness: float = 4530.0  # [N/m]
     rest: float = 0.07785  # [m]
 
@@ -267,7 +278,8 @@ def squeezer_scene(path: Path) -> dict[str, Any]:
     at = {"xyz": [-d, 0.0, 0.0]}
     ends = {"K3": (0.0, -ss), "K4": (0.0, -e), "K6": (zf, 0.0)}
     loops = [(name, {"xyz": [*end, 0.0]}, "K2", at) for name, end in ends.items()]
-    posture = dict(zip(squeezer.joints, squeezer.start, strict=True))
-    torques = {ROBOT: squeezer.torques(squeezer.start[2])}
+    posture = dict(zip(squeezer.links, squeezer.start, strict=True))
+    acting = squeezer.torques(squeezer.start[2])
+    torques = {ROBOT: {joint_of(link): value for link, value in acting.items()}}
     control = {"kind": "constant", "torques": torques}
     return linkage_scene(path, parts, loops, posture, {}, gravity=None, control=control)
