@@ -13,7 +13,7 @@ from tree_oracle import Motions, solve_minimal
 
 import multiarm as ma
 
-# Relative and absolute tolerance of the reference's steps.
+# Relative and absolute tolerance of the reference's steps, if no other is asked for.
 TOLERANCE = 1e-10
 
 
@@ -57,7 +57,11 @@ def energy(trees: TreeScene, state: TreeState, bodies: tuple[str, ...] = ()) -> 
 
 
 def dense_motion(
-    trees: TreeScene, state: TreeState, torques: dict[str, np.ndarray], end: float
+    trees: TreeScene,
+    state: TreeState,
+    torques: dict[str, np.ndarray],
+    end: float,
+    tolerance: float = TOLERANCE,
 ) -> TreeState:
     """The state at the end [s], by SciPy, from accelerations of dense algebra."""
     robots, frames = list(state.joint_positions), {**state.objects, **state.bases}
@@ -106,7 +110,7 @@ def dense_motion(
         return np.concatenate(parts)
 
     solved = solve_ivp(
-        slope, (0.0, end), stacked(state), method="DOP853", rtol=TOLERANCE, atol=TOLERANCE
+        slope, (0.0, end), stacked(state), method="DOP853", rtol=tolerance, atol=tolerance
     )
     return state_of(solved.y[:, -1])
 
