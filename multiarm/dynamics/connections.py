@@ -36,6 +36,11 @@ class Connection:
         return tuple(dict.fromkeys(body.robot for body in (self.first, self.second) if body.robot))
 
     @property
+    def recorded_with(self) -> str:
+        """The robot among whose results it is recorded, the first body's; empty without robots."""
+        return next(iter(self.robots), "")
+
+    @property
     def on_object(self) -> bool:
         """Whether its second body is an object."""
         return self.second.is_object
@@ -62,6 +67,8 @@ class Connections(NamedTuple):
     second: Ints1
     # (C,) whether the chain of the first body is the whole block, and no second one has columns
     serial: Ints1
+    # (C,) the robot among whose results they are recorded; the number of robots where there is none
+    robot: Ints1
 
 
 def surroundings_of(objects: Sequence[str]) -> dict[str, Connection]:
@@ -125,13 +132,17 @@ class BodyTable:
         """The table of the owners of rows."""
         layout, owners = self._layout, self._layout.owners
         world = self.number(WORLD)
-        numbers = np.full((4, len(owners)), world, dtype=np.int64)
+        numbers = np.full((5, len(owners)), world, dtype=np.int64)
         table = Connections(*numbers)
-        table.block[:], table.serial[:] = layout.block_of, 0
+        table.block[:], table.serial[:], table.robot[:] = layout.block_of, 0, len(self._names)
         for c, owner in enumerate(owners):
             if owner not in pairs:
+                if owner in self._names:
+                    table.robot[c] = self._names.index(owner)
                 continue
             pair = pairs[owner]
+            if pair.recorded_with:
+                table.robot[c] = self._names.index(pair.recorded_with)
             table.first[c], table.second[c] = self.number(pair.first), self.number(pair.second)
             if pair.first.is_link and not pair.second.is_link:
                 chain, joints = self.tip(pair.first).chain, layout.joint_counts[layout.block_of[c]]

@@ -320,9 +320,7 @@ class System:
         if name not in self.model.connections:
             return RowOwner(name, "", False, False)
         pair = self.model.connections[name]
-        return RowOwner(
-            next(iter(pair.robots), ""), str(pair.second), pair.first.is_link, pair.on_object
-        )
+        return RowOwner(pair.recorded_with, str(pair.second), pair.first.is_link, pair.on_object)
 
     @property
     def warnings(self) -> list[str]:

@@ -41,8 +41,8 @@ def write_sample(struct, t, works, row):
     for o in range(state.poses.shape[0]):
         at = append(row, at, state.poses[o])
         at = append(row, at, state.twists[o])
-    b, c, blocks = 0, 0, model.connections.block
-    for i in range(control.power.size):
+    b, robots = 0, control.power.size
+    for i in range(robots):
         first, last = model.first_joint[i], model.first_joint[i + 1]
         floats = b < state.floating_bases.size and model.floating_bases.robot[b] == i
         if floats:
@@ -56,12 +56,8 @@ def write_sample(struct, t, works, row):
             at = append(row, at, state.base_poses[b])
             at = append(row, at, state.joint_rates[first - 6 : first])
             b += 1
-        while c < blocks.size and work.first_joint[blocks[c]] < last:
-            at = append_contacts(model, data, c, row, at)
-            c += 1
-    while c < blocks.size:  # those of no robot
-        at = append_contacts(model, data, c, row, at)
-        c += 1
+        at = append_owners(model, data, i, row, at)
+    at = append_owners(model, data, robots, row, at)  # those of no robot
     last = works.size - 1
     at = append(row, at, works[:last])
     row[at], row[at + 1] = kinetic_energy(data, work), potential_energy(struct)
@@ -78,6 +74,15 @@ def append(row, at, numbers):
     for k in range(numbers.size):
         row[at + k] = numbers[k]
     return at + numbers.size
+
+
+@kernel
+def append_owners(model, data, robot, row, at):
+    """Write what is recorded of the owners of rows of a robot; returns where that ends."""
+    for c in range(model.connections.robot.size):
+        if model.connections.robot[c] == robot:
+            at = append_contacts(model, data, c, row, at)
+    return at
 
 
 @kernel

@@ -37,9 +37,11 @@ SOLVERS = pytest.mark.parametrize(
 )
 
 
-def evaluated(scene: dict[str, Any], solver: str = "node", arms: str = "auto") -> ma.Evaluation:
-    run = {"solver": solver, "arms": arms}
-    return ma.evaluate(ma.compile_system(parse_scene({**scene, "run": run})))
+def evaluated(
+    scene: dict[str, Any], solver: str = "node", arms: str | None = None
+) -> ma.Evaluation:
+    scene = {**scene, "run": {"solver": solver}}
+    return ma.evaluate(ma.compile_system(parse_scene(scene), arms=arms))
 
 
 def assert_right(scene: dict[str, Any], solver: str, arms: str) -> ma.Evaluation:
@@ -72,10 +74,13 @@ def gripper_held_by_an_arm() -> dict[str, Any]:
 
 
 def three_arms(joints: list[tuple[str, str, str]], **more: Any) -> dict[str, Any]:
-    """Arms ``a``, ``b``, ``c`` of six joints each, in motion, with joints among them."""
+    """Arms ``a``, ``b``, ``c`` of six joints each, in motion, with joints among them.
+
+    Their tips are the corners of a triangle.
+    """
     arms = {
         name: arm("xyzXYZ", posture=[0.1 * k, 0.2, -0.1, 0.3, 0.2 - 0.1 * k, 0.4],
-                  base={"xyz": [0.5 * k, 0.0, 0.0]}, mass=1.0 + k)
+                  base={"xyz": [0.5 * k, 0.3 * (k == 1), 0.0]}, mass=1.0 + k)
         for k, name in enumerate("abc")
     }  # fmt: skip
     written = [
@@ -98,7 +103,9 @@ SCENES = {
     "ring": lambda: three_arms(RING),
     "chain": lambda: three_arms(CHAIN),
     "past": lambda: three_arms([("a", "c", "weld"), ("b", "block", "ball")]),
-    "welded_twice": lambda: three_arms([("a", "b", "weld"), ("b", "a", "weld")]),
+    "welded_twice": lambda: three_arms(
+        [("a", "b", "weld"), ("b", "a", "weld"), ("c", "block", "ball")]
+    ),
     "all_at_one_object": lambda: three_arms(
         [("a", "b", "universal"), *[(name, "block", "ball") for name in "abc"]]
     ),

@@ -58,6 +58,21 @@ def test_the_motion_is_that_of_the_dense_reference(seed, tmp_path):
     assert far_apart(tree_state(run, -1), dense_motion(trees, state, torques, DURATION)) < 2e-8
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_run_records_the_start_and_its_evaluation(seed, tmp_path):
+    scene = draw_moving_trees("hand_shakes", np.random.default_rng(seed), tmp_path).scene
+    system = ma.compile_system(parse_scene(scene))
+    start, ev = system.initial_state(), ma.evaluate(system)
+    run = ma.simulate(system, 1e-4, step=1e-4, integrator="rk4")
+    for name in scene["robots"]:
+        np.testing.assert_array_equal(run.joint_positions[name][0], start.joint_positions[name])
+        np.testing.assert_array_equal(run.joint_velocities[name][0], start.joint_velocities[name])
+    for name, wrench in ev.wrenches.items():
+        size = {"atol": 1e-12 * max(1.0, *np.abs(wrench))}
+        np.testing.assert_allclose(run.wrenches[name][0], wrench, **size)
+        np.testing.assert_allclose(run.contact_forces[name][0], ev.contact_forces[name], **size)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_conserves_the_energy_to_its_order(method, tmp_path):
     scene = draw_moving_trees("hand_shakes", np.random.default_rng(2), tmp_path).scene

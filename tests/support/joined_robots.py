@@ -52,18 +52,18 @@ def satellites(joint: dict[str, Any], **more: Any) -> dict[str, Any]:
 # --- two arms of two joints ----------------------------------------------------------------------
 
 # The second links of both are one coupler.
-WELDED = FourBar(crank=0.5, coupler=1.0, rocker=0.5, ground=1.2, side=1)
+WELDED = FourBar(crank=0.5, coupler=0.8, rocker=0.5, ground=0.9, side=1)
 
 
 def welded_motion() -> OneFreedom:
     """Two planar_2r arms welded to each other; the coordinate is the left arm's first angle."""
     link = Body(3.0, np.diag([0.0013, 0.0629, 0.0634]))
     half = np.diag([0.000717333333, 0.026933333333, 0.027117333333])
-    away = 2.0 * (0.5 - 0.2) ** 2 * np.diag([0.0, 1.0, 1.0])
+    away = 2.0 * (0.4 - 0.2) ** 2 * np.diag([0.0, 1.0, 1.0])
     coupler = Body(4.0, 2.0 * (half + away))
     return OneFreedom(
         (link, coupler, link),
-        lambda s: WELDED.poses(s, 0.25, 0.5, 0.25),
+        lambda s: WELDED.poses(s, 0.25, 0.4, 0.25),
         np.array(DOWN_IN_PLANE),
         (-2.0, -0.6),
         degree=80,
