@@ -27,7 +27,7 @@ from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene
 from multiarm.scene.bodies import BodyName
-from multiarm.scene.faults import Parts, fault_at
+from multiarm.scene.faults import Parts, fault_at, shown
 from multiarm.scene.joint_values import SOLVE
 
 # Joints at zero that bring the tip nearer than this part of the arm's length are assembled instead.
@@ -85,9 +85,13 @@ def find_postures(
         places = ", ".join(f"$.joints[{number}].at" for number in placed or joints)
         if not placed:
             if posture == SOLVE:
-                problem = f"'solve' needs the joint's place on the object: give {places}"
+                bodies = ", ".join(dict.fromkeys(map(_shown_second, joints.values())))
+                problem = f"'solve' needs the joint's place on {bodies}: give {places}"
                 if not joints:
-                    problem = "'solve' needs a joint with what has a place; write the posture"
+                    problem = (
+                        "'solve' needs a joint with an object, with the world, or with a robot "
+                        "whose posture is written or found; write this posture"
+                    )
                 faults.append(fault_at(where, problem))
             continue
         at_rest = partial(_pose_of_link, arms, dict(known))
@@ -143,6 +147,11 @@ def _joints_of(scene: Scene, name: str, known: Collection[str]) -> dict[int, Joi
         if name in (joint.first.robot, joint.second.robot)
         and all(body.robot in (name, *known) for body in _links_of_two(joint))
     }
+
+
+def _shown_second(joint: JointSpec) -> str:
+    """The body on which a joint has its place, as messages have it."""
+    return "the object" if joint.second.is_object else shown(str(joint.second))
 
 
 def _pose_of_link(

@@ -39,6 +39,7 @@ from multiarm.assembly.inverse_kinematics import (
 from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target, way_to
 from multiarm.assembly.reaching import REACHED
 from multiarm.geometry.records import basis
+from multiarm.notation import number
 from multiarm.robots.robot import Robot
 from multiarm.robots.terms import TreeStructure
 from multiarm.scene import JointSpec, ObjectSpec, ResolvedRobot, Scene
@@ -48,6 +49,8 @@ from multiarm.spatial import quaternion_to_matrix
 
 # Connections of which a message tells how far they are from closed.
 MOST_TOLD = 4
+# Gaps below this [m, rad] are those of angles with five digits.
+ROUNDED = 1e-5
 # Places of a search all of whose frames are written in its targets.
 ALL_WRITTEN = np.zeros((0, 4, 4))
 
@@ -210,13 +213,19 @@ class RobotPostureSearch:
         distances = np.linalg.norm(miss.shifts, axis=1)
         rows = zip(distances, np.rad2deg(miss.turns), self.targets.items(), strict=True)
         gaps = [
-            f"{distance:.3f} m{f' and {turn:.0f} deg' if turned else ''} at {shown(name)}"
+            f"{_millimetres(distance)} m{f' and {turn:.0f} deg' if turned else ''} at {shown(name)}"
             for distance, turn, (name, target) in sorted(rows, key=lambda row: -row[0])
             if (turned := turn > NO_TURN and not target.free) or distance > REACHED
         ]
         return counted(gaps, MOST_TOLD)
 
     def _remedy(self, miss: Miss) -> str:
+        held = np.array([not target.free for target in self.targets.values()])
+        if np.max(np.abs(miss.shifts)) < ROUNDED and np.all(miss.turns[held] < ROUNDED):
+            return (
+                "gaps this small come from rounded numbers: write angles with all digits, such as "
+                "1.5707963267948966"
+            )
         if self.base_joints or len(self._lengths.at_rest) < len(self.targets):
             return "choose other places, or let more joints move"
         shift = helpful_shift(np.mean(miss.shifts, axis=0), self._reaches_from)
@@ -381,6 +390,11 @@ class _Lengths:
         """How far sliding joints go [m]; without limits, as far as they want."""
         endless = self._slides[joints] & self._endless[joints]
         return np.where(endless, np.inf, self._travels[joints])
+
+
+def _millimetres(gap: float) -> str:
+    """A gap [m] to a millimetre; a smaller one, as roundings leave, by its digits."""
+    return f"{gap:.3f}" if gap > 1e-3 or gap < REACHED else number(gap)
 
 
 def _lengths(links: np.ndarray) -> np.ndarray:

@@ -148,6 +148,6 @@ def _links_in_the_way(system: System) -> list[str]:
     return [
         f"{place(posture_of(system.scene, robot)[0])}: {pair.link} overlaps {pair.obstacle} by "
         f"{-pair.distance:.2g} m (convex hulls), and no posture was found that does not; move "
-        "the base, choose another place on the object, or write a posture"
+        "the base, choose other places of its joints, or write a posture"
         for robot, pair in overlapping_links(system.scene, system.arms, postures).items()
     ]

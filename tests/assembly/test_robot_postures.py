@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -568,6 +569,48 @@ def test_a_robot_that_cannot_hold_its_places_hears_why():
     with refused(SceneError, "$.robots.b.posture") as caught:
         posture_in(robot_scene([{"arm": "b/left", "kind": "weld"}], posture="solve"))
     assert "$.joints[0].at" in caught.value.faults[0]
+
+
+def two_arms_hand_in_hand(quarter: float, half: float) -> Scene:
+    """They hold a box, and each other; angles of a right angle and of two as they are written."""
+    arms = {
+        "left": {"robot": "ur5", "base": {"xyz": [-0.9, 0, 0]}, "posture": "solve"},
+        "right": {"robot": "ur5", "base": {"xyz": [0.9, 0, 0], "rpy": [0, 0, half]}},
+    }
+    middle = {"xyz": [0, 0, 0.3]}
+    joints = [
+        {"arm": "left", "kind": "weld", "at": {"xyz": [-0.3, 0, 0], "rpy": [0, quarter, 0]}},
+        {"arm": "right", "kind": "ball", "at": {"xyz": [0.3, 0, 0], "rpy": [0, -quarter, 0]}},
+        {"between": ["left", "right"], "kind": "weld", "at_first": middle,
+         "at": {**middle, "rpy": [half, 0, 0]}},
+    ]  # fmt: skip
+    body = {"mass": 5.0, "shape": {"box": [0.6, 0.4, 0.3]}, "pose": {"xyz": [0, 0, 0.5]}}
+    return parse_scene({"object": body, "arms": arms, "joints": joints})
+
+
+def test_angles_that_are_rounded_are_told_from_places_out_of_reach():
+    """Held twice, a robot has no posture where angles with five digits contradict each other."""
+    with refused(SceneError, "$.arms.right.posture") as caught:
+        ma.compile_system(two_arms_hand_in_hand(1.5708, 3.14159))
+    gaps = [float(gap) for gap in re.findall(r"([0-9.e-]+) m at", caught.value.faults[0])]
+    assert gaps and all(REACHED < gap < 1e-5 for gap in gaps)
+    system = ma.compile_system(two_arms_hand_in_hand(0.5 * np.pi, np.pi))
+    assert max(system.start_report.gaps.values()) < CLOSED
+
+
+def test_robots_in_a_ring_hear_which_posture_to_write():
+    cart = {"robot": "dual_arm_cart", "tips": {"left": "left_tool", "right": "right_tool"}}
+    robots = {
+        name: {**cart, "base": {"xyz": [x, y, 0]}, "posture": "solve"}
+        for name, x, y in (("a", 0.6, 0.0), ("b", -0.3, 0.5), ("c", -0.3, -0.5))
+    }
+    pairs = [("a", "b"), ("b", "c"), ("c", "a")]
+    joints = [{"between": [f"{one}/left", f"{two}/right"], "kind": "ball"} for one, two in pairs]
+    joints.append({"between": ["object", "world"], "kind": "weld"})
+    body = {"mass": 5.0, "shape": {"sphere": 0.1}}
+    with refused(SceneError, *(f"$.robots.{name}.posture" for name in robots)) as caught:
+        ma.compile_system(parse_scene({"object": body, "robots": robots, "joints": joints}))
+    assert "'b/right': give $.joints[0].at" in str(caught.value)
 
 
 @pytest.mark.parametrize("there", [[-1.6, 0.0, 0.0], [0.2, 0.0, -1.5]])
