@@ -35,7 +35,9 @@ _MEANINGS = {
     EventKind.LEAVES_PATCH: "contact points left the patch of their surface",
     EventKind.PASSES_LIMIT: "joints passed their limits, which are not enforced",
     EventKind.SATURATES: "drives came to their torque limits",
-    EventKind.LOSES_DIRECTION: "arms could not follow their joint in every direction",
+    EventKind.LOSES_DIRECTION: (
+        "arms could not follow their joints in every direction, or their joints repeat each other"
+    ),
     EventKind.PASSES_SINGULAR_POSTURE: "singular postures were passed",
     EventKind.RANK_FALLS: "the chains lost constraints on the way",
 }

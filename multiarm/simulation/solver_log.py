@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.diagnosis import describe, lost_motions
+from multiarm.dynamics.diagnosis import describe, is_serial_arm, lost_motions
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
+from multiarm.notation import count_of
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
 
@@ -50,10 +51,12 @@ class SolverLog:
             for i in map(int, changed):
                 arm = data.model.blocks[i]
                 if lost[i] != self._lost[i]:
+                    now, before = int(lost[i]), int(self._lost[i])
                     robots = data.model.layout.robots_of_block(i) if in_words else ()
                     words = lost_motions(data, robots).values()
                     what = tuple(dict.fromkeys(word for of_robot in words for word in of_robot))
-                    events.append(_of_arm(float(t), arm, int(lost[i]), int(self._lost[i]), what))
+                    what = what or _in_numbers(data, arm, now)
+                    events.append(_of_arm(float(t), arm, now, before, what))
                 else:
                     nearest = f", {_nearest(data, i)}" if in_words else ""
                     told = f"passed a singular posture{nearest}"
@@ -78,10 +81,15 @@ class SolverLog:
         return [RunEvent(t, kind, text)]
 
 
+def _in_numbers(data: Data, arm: str, lost: int) -> tuple[str]:
+    if is_serial_arm(data, arm):
+        return (f"directions of its joint lost: {lost}",)
+    return (f"its connections repeat each other in {count_of(lost, 'direction')}",)
+
+
 def _of_arm(t: float, arm: str, now: int, before: int, words: tuple[str, ...]) -> RunEvent:
     if now > before:
-        what = "; ".join(words) or f"directions of its joint lost: {now}"
-        return RunEvent(t, EventKind.LOSES_DIRECTION, what, arm)
+        return RunEvent(t, EventKind.LOSES_DIRECTION, "; ".join(words), arm)
     left = f", {now} still lost" if now else ""
     what = f"can move along its joint's directions again{left}"
     return RunEvent(t, EventKind.REGAINS_DIRECTION, what, arm)

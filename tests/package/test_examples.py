@@ -9,12 +9,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from repository import ROOT, SCENES
 
 import multiarm as ma
 from multiarm.grasp.scenes import LEAST_SHARE
 from multiarm.scene import REGISTRIES
+from multiarm.scene.robots import find_robot
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -320,6 +322,48 @@ def test_a_stack_moves_as_one_body_and_its_weld_carries_the_upper_box(printed):
     assert max(apart, turned) < 1e-8
     ((carried, needed),) = figures(r"carries up to# N; m \(a - g\) is# N", text)
     assert carried == pytest.approx(needed, abs=0.05) and carried > 6.0 * 9.81
+
+
+@pytest.mark.slow
+def test_a_humanoid_lifts_a_box_on_feet_that_only_push(printed):
+    text = printed("22_humanoid_lifts_a_box.py")
+    ((box, base, off),) = figures("completed: the box rose by# mm, .* by# mm; .* ends# mm", text)
+    assert 150.0 < base < 170.0 and box == pytest.approx(base, abs=5.0) and abs(off) < 1.0
+    ((contacts, least, most, friction),) = figures(
+        "each of# contacts below the feet pushes with# to# N, and needs a friction of# at", text
+    )
+    assert contacts == 8 and 0.0 < least < most and friction < 0.05
+    ((weight, robot, load),) = figures("they carry# N:# kg of robot and# kg of box", text)
+    model = pin.buildModelFromUrdf(str(find_robot("g1_29dof_rev_1_0").urdf))
+    assert robot == pytest.approx(sum(part.mass for part in model.inertias), abs=0.01)
+    assert weight == pytest.approx(9.81 * (robot + load), abs=0.05)
+    assert figures("up to# % of their torque", text)[0][0] < 100.0
+
+
+@pytest.mark.slow
+def test_a_free_flyer_turns_without_angular_momentum(printed):
+    text = printed("23_free_flyer.py")
+    full, half = figures("completed, the body turned by# degrees about y,# about others", text)
+    assert full[0] < -40.0 and half[0] == pytest.approx(full[0], rel=0.01)
+    assert max(full[1], half[1]) < 1e-9
+    assert max(off for (off,) in figures("the joints are# rad off", text)) < 1e-8
+    ((spin, momentum),) = figures(r"up to# rad/s, .* never more than# kg m\^2/s", text)
+    assert spin > 1.0 and momentum < 1e-12
+
+
+@pytest.mark.slow
+def test_two_hands_turn_a_cube_between_fingertips_that_roll(printed):
+    text = printed("24_two_hands_turn_a_cube.py")
+    ((turned, left),) = figures("completed: the cube turned by# degrees, and back to#", text)
+    assert turned == pytest.approx(np.degrees(0.35), abs=0.01) and abs(left) < 1e-6
+    assert "\nmet: " in text
+    ((rolls, slips),) = figures("roll with up to# mm/s, and slip with# m/s", text)
+    assert rolls > 1.0 and slips < 1e-12
+    pushes = dict(re.findall(rf"near/(\w+) +pushes with ({NUMBER}) to", text))
+    thumb, *fingers = (float(pushes[name]) for name in ("thumb", "index", "middle", "ring"))
+    # two thumbs carry half of the cube each, and what the fingers press
+    assert min(fingers) > 0.5 and thumb == pytest.approx(sum(fingers) + 0.15 * 9.81, abs=0.03)
+    assert figures("a friction of# would", text)[0][0] < 0.05
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import math
 from functools import cache
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from linkages import compiled, state_on
 from matrix_systems import system_matrices
@@ -19,6 +20,7 @@ from mechanics import (
     single_arm,
     state_at,
 )
+from repository import SCENES
 
 import multiarm as ma
 from multiarm.dynamics.arrays import open_system
@@ -149,6 +151,20 @@ def test_a_direction_lost_for_one_step_is_told_twice():
         for event in events:
             assert event["time"] == pytest.approx(straight_at, abs=2e-3)
         assert events[0]["text"] == f"{arm}: little motion along its own reach"
+
+
+def test_connections_of_a_robot_that_repeat_each_other_are_counted():
+    """Hinges that are all parallel: hands at one box cannot move apart in three directions."""
+    system = ma.compile_system(ma.load_scene(SCENES / "free_flyer.yaml"))
+    file = str(SCENES / "free_flyer.urdf")
+    model = pin.buildModelFromUrdf(file, pin.JointModelFreeFlyer())
+    data, q = model.createData(), pin.neutral(model)
+    q[7:] = system.initial_state().joint_positions["sat"]
+    hands = [model.getFrameId(name) for name in ("left_hand", "right_hand")]
+    rows = np.vstack([pin.computeFrameJacobian(model, data, q, hand, pin.LOCAL) for hand in hands])
+    repeated = len(rows) - np.linalg.matrix_rank(rows)
+    (event,) = of_kind(ma.simulate(system, 0.01, certificate=False), "loses a direction")
+    assert event["text"] == f"sat: its connections repeat each other in {repeated} directions"
 
 
 @pytest.mark.slow
