@@ -5,7 +5,8 @@ Joints that another system (``like``) has too are shared with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -33,7 +34,7 @@ from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
 from multiarm.robots.robot import Robot
-from multiarm.scene import JointSpec, Pose, ResolvedRobot, Scene, friction_of
+from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
 
 # Name of the row of a robot on wheels.
@@ -61,25 +62,22 @@ def scene_joints(scene: Scene, robots: Robots, like: System | None = None) -> di
     ModelError
         Naming the joint that cannot be made.
     """
-    shared, specs = {}, {joint.connection: joint for joint in scene.joints}
-    if like is not None:
-        # a joint without ``at`` is where its bodies are at the start
-        moved = _poses(scene) != _poses(like.scene)
-        joints_of_like = {joint.connection: joint for joint in like.scene.joints}
-        for name, joint in specs.items():
-            placed = joint.at is not None or not moved
-            bodies = [body.robot for body in (joint.first, joint.second) if body.is_link]
-            at_rest = all(robot in robots.shared for robot in bodies)
-            if at_rest and placed and joint == joints_of_like.get(name):
-                shared[name] = like.model.joints[name]
-    connections = scene_connections(scene, robots)
-    return {
-        name: shared.get(name) or _make_joint(specs[name], scene, robots) for name in connections
-    }
-
-
-def _poses(scene: Scene) -> dict[str, Pose]:
-    return {name: body.pose for name, body in scene.all_objects.items()}
+    specs = {joint.connection: joint for joint in scene.joints}
+    of_like = {} if like is None else {joint.connection: joint for joint in like.scene.joints}
+    joints = {}
+    for name in scene_connections(scene, robots):
+        spec = specs[name]
+        with _named(spec):
+            place = _place(spec, scene, robots)
+            bodies = [body.robot for body in (spec.first, spec.second) if body.is_link]
+            if like is not None and spec == of_like.get(name) and {*bodies} <= {*robots.shared}:
+                shared = like.model.joints[name]
+                # a joint without ``at`` is where its bodies are at the start
+                if np.array_equal(shared.frame.on_object, spec.frames(place)[1]):
+                    joints[name] = shared
+                    continue
+            joints[name] = _make_joint(spec, place)
+    return joints
 
 
 def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame]:
@@ -265,21 +263,29 @@ def _first_joint(arm: Robot, connection: Connection) -> int:
     return next(iter(joints_of_connection(arm, connection)), 0)
 
 
-def _make_joint(joint: Any, scene: Scene, robots: Robots) -> Joint:
-    """Contacts, frame and limits of a joint; without ``at`` it starts where the first body is."""
+@contextmanager
+def _named(joint: JointSpec) -> Iterator[None]:
+    """Errors name the joint."""
     try:
-        if joint.at is not None:
-            pose = joint.at.matrix()
-        else:
-            first, second = (robots.pose(scene, body) for body in (joint.first, joint.second))
-            frame = first @ joint.on_first.matrix() @ joint.start_shift()
-            pose = np.linalg.solve(second, frame)
-        contacts, (on_tip, on_object) = joint.placed(pose), joint.frames(pose)
+        yield
     except ModelError as error:
         pair = Connection(joint.connection, joint.first, joint.second)
         raise ModelError(f"{joint_text(pair).removeprefix('the ')}: {error}") from error
+
+
+def _place(joint: JointSpec, scene: Scene, robots: Robots) -> np.ndarray:
+    """Its pose on the second body, (4, 4); without ``at`` it starts where the first body is."""
+    if joint.at is not None:
+        return joint.at.matrix()
+    first, second = (robots.pose(scene, body) for body in (joint.first, joint.second))
+    return np.linalg.solve(second, first @ joint.on_first.matrix() @ joint.start_shift())
+
+
+def _make_joint(joint: JointSpec, place: np.ndarray) -> Joint:
+    """Contacts, frame and limits of a joint at a place on the second body."""
+    on_tip, on_object = joint.frames(place)
     frame = JointFrame(on_tip, on_object, joint.free or ())
-    return Joint(contacts, frame, joint.free_limits)
+    return Joint(joint.placed(place), frame, joint.free_limits)
 
 
 def _check_free(joint: JointSpec, data: Data, start: State) -> None:

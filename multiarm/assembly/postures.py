@@ -69,11 +69,15 @@ def find_postures(
     searches: dict[str, Search] = {}
     solved: dict[str, np.ndarray] = {}
     faults = []
-    sought = [name for name in _robots_in_joints(scene) if _is_sought(scene, arms[name])]
+    sought = [name for name in robots_in_joints(scene) if _is_sought(scene, arms[name])]
     # where the robots are that others may reach for
     known = {name: robot.posture for name, robot in resolved.items() if name not in sought}
     while sought:
-        reachable = [name for name in sought if _joints_of(scene, name, known)]
+        reachable = [
+            name
+            for name in sought
+            if any(joint.at is not None for joint in _joints_of(scene, name, known).values())
+        ]
         name = (reachable or sought)[0]
         sought.remove(name)
         where, posture = posture_of(scene, name)
@@ -118,7 +122,7 @@ def posture_of(scene: Scene, name: str) -> tuple[Parts, object]:
     return ("robots", name, "posture"), scene.robots[name].posture
 
 
-def _robots_in_joints(scene: Scene) -> list[str]:
+def robots_in_joints(scene: Scene) -> list[str]:
     """The robots whose links joints connect, each once, in the order of the joints."""
     bodies = (body for joint in scene.joints for body in (joint.first, joint.second))
     return list(dict.fromkeys(body.robot for body in bodies if body.is_link))

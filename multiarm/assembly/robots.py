@@ -12,11 +12,11 @@ import numpy as np
 
 from multiarm.assembly.bases import DECIMALS, Standing, find_bases
 from multiarm.assembly.blocks import robots_together
-from multiarm.assembly.postures import find_postures
+from multiarm.assembly.postures import find_postures, robots_in_joints
 from multiarm.control.program import needs_gravity_torque
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.system import System
-from multiarm.errors import ModelError
+from multiarm.errors import ModelError, SceneError
 from multiarm.geometry.records import Placement
 from multiarm.robots.backends import Backends
 from multiarm.robots.robot import Robot, RobotFiles
@@ -29,6 +29,7 @@ from multiarm.scene import (
     resolve_robot,
 )
 from multiarm.scene.bodies import BodyName
+from multiarm.scene.faults import Parts, fault_at
 from multiarm.scene.joint_values import SOLVE
 from multiarm.scene.robot_spec import RobotBaseSpec, in_order
 
@@ -97,12 +98,24 @@ def _with_bases_of_arms(scene: Scene) -> Scene:
 def _with_bases_of_robots(scene: Scene) -> Scene:
     """Bases of robots are found like those that move, with joints where they may vary."""
     open_ones = {name: spec for name, spec in scene.robots.items() if spec.open_base}
+    in_joints = robots_in_joints(scene)
+    idle = [name for name in open_ones if name not in in_joints]
+    if idle:
+        text = "no joint says where the robot is; add one that has 'at', or remove 'solve'"
+        raise SceneError([fault_at(("robots", name, "base", "solve"), text) for name in idle])
     moving = {}
     for name, spec in open_ones.items():
         place = spec.base.model_dump(include={"xyz", "rpy", "quaternion_xyzw"})
         base = RobotBaseSpec(**place, moves=in_order(spec.open_base))
         moving[name] = spec.model_copy(update={"base": base, "posture": SOLVE})
-    robots = load_robots(scene.model_copy(update={"robots": {**scene.robots, **moving}}))
+    try:
+        robots = load_robots(scene.model_copy(update={"robots": {**scene.robots, **moving}}))
+    except SceneError as error:  # of bases that are found, nobody wrote a posture
+        sought: dict[Parts, Parts] = {
+            ("robots", name, "posture"): ("robots", name, "base", "solve") for name in moving
+        }
+        faults = [(sought.get(fault.parts, fault.parts), fault.problem) for fault in error.faults]
+        raise SceneError([fault_at(*fault) for fault in faults]) from None
     found = {}
     for name, spec in open_ones.items():
         # the joints of the base are the first ones

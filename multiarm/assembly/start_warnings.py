@@ -29,10 +29,22 @@ def start_warnings(system: System) -> list[str]:
     that overlap the object or other arms.
     """
     return [
+        *_objects_without_a_place(system),
         *_weight_not_carried(system),
         *_joints_off_the_object(system),
         *_joints_at_limits(system),
         *_links_in_the_way(system),
+    ]
+
+
+def _objects_without_a_place(system: System) -> list[str]:
+    """Of several objects those without a pose that no joint places either."""
+    bodies = system.scene.objects or {}
+    return [
+        f"{place(('objects', name))}: no 'pose' is written, and no joint says where it is; it "
+        "starts at the world's origin"
+        for name, body in bodies.items()
+        if len(bodies) > 1 and "pose" not in body.model_fields_set
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -69,6 +70,11 @@ def _base(written: ArmSpec | RobotSpec, solved: ArmSpec | RobotSpec) -> str:
         f"{key}: {_written(getattr(solved.base, key))}"
         for key in ("xyz", "rpy", "quaternion_xyzw")
         if key in keys
+    ]
+    entries += [
+        f"{key}: {json.dumps(value)}"
+        for key, value in written.base.model_dump(mode="json", exclude_defaults=True).items()
+        if key not in {"solve", "xyz", "rpy", "quaternion_xyzw"}
     ]
     return f"base: {{{', '.join(entries)}}}, " if sought else ""
 

@@ -211,10 +211,16 @@ def _object_faults(joint: WrittenJoint, where: Parts) -> Faults:
         yield (*where, "object"), unknown("object", joint.object, joint.objects)
 
 
+def _names_of_tips(robots: Robots) -> list[str]:
+    """How joints name the tips of all arms and robots."""
+    tips = {name: ("",) if robot.tips is None else robot.tips for name, robot in robots.items()}
+    return [str(BodyName(name, tip)) for name, of_robot in tips.items() for tip in of_robot]
+
+
 def _arm_fault(joint: WrittenJoint, robots: Robots) -> str:
     """Why ``arm`` names no tip; empty where it does."""
     name = joint.arm
-    tips = [str(BodyName(robot, tip)) for robot in robots for tip in robots[robot].tips or ("",)]
+    tips = _names_of_tips(robots)
     if isinstance(name, str) and name in tips:
         return ""
     body = tip_named(name) if isinstance(name, str) else BodyName("", "")
@@ -236,8 +242,8 @@ def _body_fault(body: BodyName, robots: Robots, objects: Sequence[str]) -> str:
         return "" if known else f"{shown(str(body))} names no body"
     robot = robots.get(body.robot)
     if robot is None:
-        tips = [str(BodyName(name, tip)) for name in robots for tip in robots[name].tips or ("",)]
-        return unknown("body", str(body), [*objects, str(WORLD), *tips], "bodies")
+        bodies = [*objects, str(WORLD), *_names_of_tips(robots)]
+        return unknown("body", str(body), bodies, "bodies")
     if robot.tips is None:
         if not body.tip:
             return ""
@@ -253,7 +259,12 @@ def _tip_fault(body: BodyName, robot: KnownRobot, links: str = "") -> str:
     assert robot.tips is not None, "an arm has no tips by name"
     if not body.tip:
         choices = [str(BodyName(body.robot, tip)) for tip in robot.tips]
-        return f"{body.robot!r} is a robot; name one of its tips, {listed(choices)}"
+        if choices:
+            return f"{body.robot!r} is a robot; name one of its tips, {listed(choices)}"
+        return (
+            f"{body.robot!r} is a robot without tips; write some, 'tips: {{hand: LINK}}', and name "
+            f"one, '{body.robot}/hand'"
+        )
     if body.tip in robot.tips or robot.links is None:  # without links, the robot has faults
         return ""
     if body.tip in robot.links:

@@ -112,6 +112,9 @@ def parse_scene(
 def dump_scene(scene: Scene) -> str:
     """The scene as YAML text with absolute paths; it loads again to an equal scene."""
     data = scene.model_dump(mode="json", exclude_defaults=True)
+    for name, body in (scene.objects or {}).items():
+        if "pose" in body.model_fields_set:  # without it, an object is where its joints put it
+            data["objects"][name].setdefault("pose", {"xyz": list(body.pose.xyz)})
     # A run without settings has the default accuracy: write it out.
     data["run"] = scene.run.model_dump(mode="json", exclude_defaults=True)
     return written_yaml(data)

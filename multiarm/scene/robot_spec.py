@@ -223,7 +223,7 @@ class RobotSpec(RobotModel):
     """The root link in the world, and the directions in which it moves."""
     tips: dict[TipName, str] = Field(default_factory=dict)
     """A table 'name: link'. Joints of the scene name them as 'robot/name'. What lies on the way to
-    a tip, or to a link that a joint of the scene names, moves. Of a robot without them every joint
+    a tip, or to a link that a joint of the scene names, moves. Where there is neither, every joint
     moves."""
     posture: Posture | None = None
     """Positions [rad] or [m] at the start, one number per moving joint: those of the base, then the
@@ -293,6 +293,10 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     for name, link in spec.tips.items():
         if link in outline.links and link not in examination.carriers:
             examination.add_fault("tips", name, text=f"no joint that moves carries link {link!r}")
+    if not moving and not spec.base.floats and not spec.tips:
+        held = "'lock' holds all of its joints" if spec.lock else "its file has no joint that moves"
+        text = f"nothing of it moves: {held}; let one of them move, or the base, with 'moves'"
+        examination.add_fault("lock" if spec.lock else "base", text=text)
     locked = locked_positions(spec.lock, joints, free, examination)
     _warn_of_held_followers(spec, on_way, joints, locked, examination)
     names = {joint.name for joint in moving}

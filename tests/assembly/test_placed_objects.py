@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import multiarm as ma
 from multiarm.errors import SceneError
-from multiarm.scene import parse_scene
+from multiarm.scene import dump_scene, parse_scene
 
 BEAM = {"xyz": [0.5, -0.2, 0.8], "rpy": [0.3, -0.4, 1.1]}
 ON_BEAM = {"xyz": [0.1, 0.05, 0.05], "rpy": [0.2, 0.1, -0.7]}
@@ -92,3 +92,24 @@ def test_two_objects_without_a_pose_do_not_place_each_other():
     joint = {"between": ["plate", "beam"], "kind": "weld", "at": {"xyz": [0.0, 0.0, 0.1]}}
     with pytest.raises(SceneError, match="plate-beam"):
         start({"objects": objects(plate=None, beam=None), "joints": [joint]})
+
+
+def test_a_pose_at_the_origin_that_is_written_stays_written():
+    """Beside a joint that would turn the object; also after the scene was stored."""
+    turned = {"xyz": [0.0, 0.0, 0.0], "rpy": [0.0, 0.0, 1.0]}
+    joint = {"between": ["plate", "world"], "kind": "ball", "at": turned}
+    parts = objects(plate={"xyz": [0.0, 0.0, 0.0]}, beam=BEAM)
+    scene = parse_scene({"objects": parts, "joints": [joint]})
+    for again in (scene, parse_scene(dump_scene(scene))):
+        plate = ma.compile_system(again).initial_state().objects["plate"]
+        assert np.array_equal(plate.quaternion_xyzw, [0.0, 0.0, 0.0, 1.0])
+    placed = parse_scene({"objects": objects(plate=None, beam=BEAM), "joints": [joint]})
+    for again in (placed, parse_scene(dump_scene(placed))):
+        assert_placed(ma.compile_system(again).initial_state().objects["plate"], frame(turned))
+
+
+def test_an_object_that_nothing_places_is_told():
+    joint = {"between": ["plate", "beam"], "kind": "ball", "at": ON_BEAM}
+    scene = {"objects": objects(plate=None, beam=BEAM, pin=None), "joints": [joint]}
+    (warning,) = ma.compile_system(parse_scene(scene)).start_warnings
+    assert warning.startswith("$.objects.pin: no 'pose' is written, and")

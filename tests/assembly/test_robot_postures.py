@@ -674,3 +674,47 @@ def test_a_base_is_found_in_the_directions_that_vary(moves):
         robot, base_of = system.arms["tiago"], state.bases.get("tiago")
         held = robot.tip_pose(state.joint_positions["tiago"], tip, base_of)[:3, 3]
         assert np.allclose(held, place, rtol=0.0, atol=1e-9)
+
+
+FOUND = {"robot": "ur5", "tips": {"hand": "tool0"}, "base": {"solve": ["x", "y"]}}
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        [],
+        [{"arm": "r/hand", "kind": "ball"}],
+        [{"arm": "r/hand", "kind": "ball", "at": {"xyz": [0.0, 0.0, 30.0]}}],
+    ],
+)
+def test_bases_that_are_not_found_are_refused_where_they_are_sought(joints):
+    box = {"shape": {"box": [0.4, 0.3, 0.2]}, "mass": 5.0}
+    scene = parse_scene({"object": box, "robots": {"r": FOUND}, "joints": joints})
+    with refused(SceneError, "$.robots.r.base.solve") as caught:
+        ma.compile_system(scene)
+    assert len(caught.value.faults) == 1
+
+
+# --- what another system has too ------------------------------------------------------------------
+
+HANDED = [0.3, -1.2, 1.4, 0.3, 0.4, 0.2]
+
+
+def test_a_joint_without_at_is_where_its_robot_is_found_beside_another_system():
+    """The posture of a robot that is found depends on others, however equal its own is written."""
+    arms = {
+        "a": {"robot": "ur5", "base": {"xyz": [-0.6, 0, 0]}, "posture": HANDED},
+        "b": {"robot": "ur5", "base": {"xyz": [0.6, 0, 0]}, "posture": "solve"},
+    }
+    box = {"shape": {"box": [0.3, 0.2, 0.1]}, "mass": 2.0, "pose": {"xyz": [0, 0.3, 0.6]}}
+    shake = {"between": ["b", "a"], "kind": "weld", "name": "shake", "at": {"xyz": [0, 0.1, 0.1]}}
+    joints = [{"between": ["b", "object"], "kind": "ball"}, shake]  # found by its second joint
+    scene = parse_scene({"object": box, "arms": arms, "joints": joints})
+    other = scene.replace({"arms.a.posture": [*HANDED[:5], 0.6]})
+    alone = ma.compile_system(other)
+    beside = ma.compile_system(other, like=ma.compile_system(scene))
+    assert max(beside.start_report.gaps.values()) < CLOSED
+    expected, found = (system.model.joints["b-object"].frame for system in (alone, beside))
+    assert np.array_equal(found.on_object, expected.on_object)
+    again = ma.compile_system(other, like=alone)
+    assert again.model.joints["b-object"] is alone.model.joints["b-object"]

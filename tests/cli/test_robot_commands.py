@@ -12,8 +12,16 @@ from repository import SCENES
 from tree_scenes import gripper_scene
 
 import multiarm as ma
+from multiarm.scene import parse_scene
 
 GRIPPER, TORSO = SCENES / "four_bar_gripper.yaml", SCENES / "torso_lifts_a_box.yaml"
+
+
+SATELLITE = """
+object: {{shape: {{box: [0.4, 0.3, 0.2]}}, mass: 5, pose: {{xyz: [1.0, 0.2, 1.1]}}}}
+robots: {{sat: {{robot: ur5, {}tips: {{hand: tool0}}}}}}
+joints: [{{arm: sat/hand, kind: ball, at: {{xyz: [-0.2, 0, 0]}}}}]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +108,21 @@ def test_pose_says_that_robots_have_postures(tmp_path):
     path.write_text(json.dumps(gripper_scene()))
     result = multiarm("pose", path)
     assert result.exit_code == 2 and "every robot a posture" in result.output
+
+
+def test_pose_prints_a_base_as_a_scene_needs_it(tmp_path):
+    """What is printed, copied into the scene, is where the program found it; it still floats."""
+    base = "{moves: free, mass: 40, inertia: [3, 3, 2], solve: [x, y], xyz: [0, 0, 0.5]}"
+    path = tmp_path / "sat.yaml"
+    path.write_text(SATELLITE.format(f"base: {base}, "))
+    printed = multiarm("pose", path).stdout.strip()
+    text = printed.removeprefix("sat: {").removesuffix("}")
+    assert "moves: " in text and "solve" not in text
+    system = ma.compile_system(ma.load_scene(path))
+    again = ma.compile_system(parse_scene(SATELLITE.format(f"{text}, ")))
+    for name in ("xyz", "rpy", "moves", "mass", "inertia"):
+        found, copied = (getattr(s.scene.robots["sat"].base, name) for s in (system, again))
+        assert copied == (pytest.approx(found, abs=1e-7) if name in ("xyz", "rpy") else found)
 
 
 def test_a_summary_has_forces_by_connection(tmp_path):

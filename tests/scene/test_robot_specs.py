@@ -535,6 +535,10 @@ def test_joints_have_names_of_their_own(joints, count):
         ({"world": tiago()}, "$.robots.world"),
         ({"floor": tiago()}, "$.robots.floor"),
         ({"a/b": tiago()}, "$.robots['a/b']"),
+        (
+            {"slide": {"robot": "planar_2r", "lock": {"joint_1": 0, "joint_2": 0}}},
+            "$.robots.slide.lock",
+        ),
         ({"tiago": tiago(tips={"a/b": "arm_left_7_link"})}, "$.robots.tiago.tips['a/b']"),
         ({"tiago": tiago(tips={"left": "arm_left_8_link"})}, "$.robots.tiago.tips.left"),
         ({"tiago": tiago(tips={"base_link": "arm_left_7_link"})}, "$.robots.tiago.tips.base_link"),
@@ -549,6 +553,14 @@ def test_robots_with_a_fault_are_refused_at_its_place(robots, place):
     with refused(SceneError, place) as caught:
         scene_with(robots)
     assert len(caught.value.faults) == 1
+
+
+@pytest.mark.parametrize("joint", [{"arm": "r"}, {"between": ["r", "object"]}])
+def test_a_robot_without_tips_is_joined_by_its_links(joint):
+    with refused(SceneError, "$.joints[0]") as caught:
+        scene_with({"r": {"robot": "ur5"}}, joint | {"kind": "ball"})
+    assert len(caught.value.faults) == 1
+    assert scene_with({"r": {"robot": "ur5"}}, weld("r/tool0", "object")).joints
 
 
 def test_arms_and_robots_have_different_names():
