@@ -55,6 +55,9 @@ PROCESSORS = (
     {"OPENBLAS_CORETYPE": "Prescott", "NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
 )
 OTHER_ARMS = {"pinocchio": "compiled", "compiled": "pinocchio"}
+BRIEF_RUN = {
+    "run": {"integrator": "dop853", "tolerance": 1e-10, "duration": 0.05, "output_step": 0.05}
+}  # of scenes with robots of several tips or several objects, whose channels are many
 DEFAULT_RUN = {"integrator": "dop853", "tolerance": 1e-10, "duration": 0.3, "output_step": 0.1}
 
 # How results are compared, by the parts of their names; the others are numbers that are close.
@@ -75,6 +78,7 @@ class Case:
     source: Mapping[str, Any] | str
     arms: str
     runs: Mapping[str, Mapping[str, Any]]
+    brief: bool = False  # evaluated at two states only
 
     def scene(self) -> ma.Scene:
         if isinstance(self.source, Mapping):
@@ -98,11 +102,15 @@ HARD_RUNS = {
 
 
 def cases() -> Iterator[Case]:
-    """All cases; of most scenes two, with Pinocchio's and with compiled arms."""
+    """All cases; of most scenes two, with Pinocchio's and with compiled arms.
+
+    Scenes with robots of several tips or several objects have one, with compiled arms.
+    """
     run = {"run": DEFAULT_RUN}
     for path in sorted(SCENES.glob("*.yaml")):
         scene = ma.load_scene(path)
         if scene.robots or scene.objects:
+            yield Case(f"example {path.stem} compiled", path.name, "compiled", BRIEF_RUN, True)
             continue
         for arms in OTHER_ARMS:
             yield Case(f"example {path.stem} {arms}", path.name, arms, run)
@@ -131,10 +139,8 @@ def measure(case: Case, states: dict | None = None, arms: str | None = None, see
     start = system.initial_state()
     found: Results = {"arm_terms": dict(system.arm_terms)}
     if states is None:
-        states = _draw_states(system)
-    for name, value in _stored(start).items():
-        parts = value.items() if isinstance(value, dict) else [("", value)]
-        found.update({f"start/{name}/{arm}".rstrip("/"): values for arm, values in parts})
+        states = _draw_states(system, case.brief)
+    found.update({f"start/{name}": values for name, values in _leaves(_stored(start))})
     labelled = {"start": start, **{k: system.state(**stored) for k, stored in states.items()}}
     for k, (label, state) in enumerate(labelled.items()):
         evaluation = ma.evaluate(system, 0.1 * k, _rounded(state, rng) if seed else state)
@@ -172,32 +178,48 @@ def _simulate(system, settings, state):
     return ma.simulate(system, state=state, certificate=False, **settings, **more)
 
 
-def _stored(state) -> dict[str, Any]:
-    """A state as the keywords of ``system.state``."""
-    return {
-        "object_position": state.object_position.tolist(),
-        "object_quaternion_xyzw": state.object_quaternion_xyzw.tolist(),
-        "object_twist": state.object_twist.tolist(),
-        "joint_positions": {arm: q.tolist() for arm, q in state.joint_positions.items()},
-        "joint_velocities": {arm: v.tolist() for arm, v in state.joint_velocities.items()},
+def _stored(state_or_run, when=...) -> dict[str, Any]:
+    """A state, or that of a run at a sample, as the keywords of ``system.state``."""
+    of = state_or_run
+    frames = {"objects": of.objects, "bases": of.bases}
+    stored: dict[str, Any] = {
+        kind: {
+            name: {part: getattr(frame, part)[when].tolist() for part in FRAME}
+            for name, frame in named.items()
+        }
+        for kind, named in frames.items()
+        if named
     }
+    if len(of.objects) == 1:
+        (only,) = stored.pop("objects").values()
+        stored.update({f"object_{part}": values for part, values in only.items()})
+    for name in ("joint_positions", "joint_velocities"):
+        stored[name] = {arm: values[when].tolist() for arm, values in getattr(of, name).items()}
+    return stored
 
 
-ONE_VALUE = ("object_acceleration", "position_residual", "velocity_residual", "rank")
-BY_ARM = (
-    ("joint_accelerations", "joint_torques", "contact_forces", "contact_forces_unique")
-    + ("contact_points", "contact_normals", "conditioning", "contact_states")
+FRAME = ("position", "quaternion_xyzw", "twist")
+ONE_VALUE = ("position_residual", "velocity_residual", "rank")
+BY_NAME = (
+    ("base_accelerations", "joint_accelerations", "joint_torques", "contact_forces")
+    + ("contact_forces_unique", "contact_points", "contact_normals", "conditioning")
+    + ("contact_states",)
 )  # fmt: skip
 TERMS = ("W_m", "W_o", "W_m_dot", "W_o_dot", "c", "phi", "phi_dot")
 
 
 def _of_evaluation(label: str, evaluation) -> Results:
     found = {name: getattr(evaluation, name) for name in ONE_VALUE}
+    accelerations = evaluation.object_accelerations
+    if len(accelerations) == 1:
+        (found["object_acceleration"],) = accelerations.values()
+    else:
+        found.update({f"object_accelerations/{name}": a for name, a in accelerations.items()})
     found["coupled_arms"] = sorted(evaluation.coupled_arms)
     for part in ("arm", "object", "constraint"):
         found[f"residuals/{part}"] = getattr(evaluation.residuals, part)
-    for name in BY_ARM:
-        found.update({f"{name}/{arm}": x for arm, x in getattr(evaluation, name).items()})
+    for name in BY_NAME:
+        found.update({f"{name}/{of}": x for of, x in getattr(evaluation, name).items()})
     for arm, terms in evaluation.contact_terms.items():
         found.update({f"contact_terms/{arm}/{name}": getattr(terms, name) for name in TERMS})
     return {f"{label}/{name}": value for name, value in found.items()}
@@ -217,6 +239,15 @@ def _of_run(label: str, trajectory) -> Results:
     return {f"{label}/{name}": value for name, value in found.items()}
 
 
+def _leaves(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The lists of nested tables, each with the names that lead to it."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name}/{rest}", leaf) for rest, leaf in _leaves(value))
+        else:
+            yield name, value
+
+
 def _listed(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else list(value)
 
@@ -229,8 +260,8 @@ def _rounded(state, rng: np.random.Generator):
     return other
 
 
-def _draw_states(system) -> dict[str, dict]:
-    """Two states on the joints and one beside them, all moving."""
+def _draw_states(system, brief: bool) -> dict[str, dict]:
+    """Two states on the joints and one beside them, all moving; where brief the first."""
     rng = np.random.default_rng(20261122)
     found = {}
     for label in ("state 1", "state 2"):
@@ -241,9 +272,9 @@ def _draw_states(system) -> dict[str, dict]:
                 )
             except ma.MultiarmError:
                 continue  # too far from the joints to be projected
-            found[label] = _first_of(run)
+            found[label] = _stored(run, 0)
             break
-    if len(system.arm_names) > MANY_ARMS:
+    if brief or len(system.arm_names) > MANY_ARMS:
         return {"state 1": found["state 1"]}  # each state of 64 arms fills a tenth of the file
     beside = _beside(system, rng, 0.005)
     try:
@@ -254,33 +285,20 @@ def _draw_states(system) -> dict[str, dict]:
 
 
 def _beside(system, rng, size: float):
-    start = _stored(system.initial_state())
-    shaken = {
-        key: {arm: _shaken(rng, own, size) for arm, own in value.items()}
-        if isinstance(value, dict)
-        else _shaken(rng, value, 0.1 * size)
-        for key, value in start.items()
-    }
     speed = 0.3 * (size > 0.0)
-    shaken["object_twist"] = _shaken(rng, start["object_twist"], speed)
-    shaken["joint_velocities"] = {
-        arm: _shaken(rng, own, speed) for arm, own in start["joint_velocities"].items()
-    }
-    return system.state(**shaken)
+    sizes = {"joint_positions": size, "joint_velocities": speed}
+    sizes |= {"object_twist": speed, "twist": speed}  # positions of frames move less
+
+    def shaken(values, by):
+        if isinstance(values, dict):
+            return {name: shaken(part, sizes.get(name, by)) for name, part in values.items()}
+        return _shaken(rng, values, by)
+
+    return system.state(**shaken(_stored(system.initial_state()), 0.1 * size))
 
 
 def _shaken(rng, values, size: float) -> list[float]:
     return (np.asarray(values) + size * rng.uniform(-1.0, 1.0, len(values))).tolist()
-
-
-def _first_of(run) -> dict[str, Any]:
-    return {
-        "object_position": run.object_position[0].tolist(),
-        "object_quaternion_xyzw": run.object_quaternion_xyzw[0].tolist(),
-        "object_twist": run.object_twist[0].tolist(),
-        "joint_positions": {arm: q[0].tolist() for arm, q in run.joint_positions.items()},
-        "joint_velocities": {arm: v[0].tolist() for arm, v in run.joint_velocities.items()},
-    }
 
 
 # --- how it is compared --------------------------------------------------------------------------
