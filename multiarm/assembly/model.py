@@ -35,7 +35,7 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.held_control import with_held_control
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.model import Model, effect_constants, row_constants
-from multiarm.dynamics.solver.trees import pays_as_tree
+from multiarm.dynamics.solver.tree_tables import pays_as_tree
 from multiarm.dynamics.solver_monitor import compare_solution, record_solution
 from multiarm.effects.building import BuildContext, effect_program
 from multiarm.effects.unilateral import unilateral_kernels

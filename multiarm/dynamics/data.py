@@ -26,6 +26,7 @@ from multiarm.dynamics.model import Model
 from multiarm.dynamics.references import Reference
 from multiarm.dynamics.solver.node import NodeWork, make_work
 from multiarm.dynamics.solver.singular import CoupledWork, make_coupled
+from multiarm.dynamics.solver.tree_tables import use_factors
 from multiarm.dynamics.state import State, require_same_joints
 from multiarm.dynamics.status import CALLBACK_FAILED
 from multiarm.dynamics.variables import (
@@ -94,6 +95,8 @@ class SharedData:
         constants, layout = model.constants, model.layout
         self._backends, self._ground = model.backends.copy(), Ground()
         self._joined: list[JoinedTerms | JoinedMatrix] = []  # of blocks of several robots
+        if model.trees:
+            self._backends.want_factors()
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self.guards = make_guards(model.guards, range(layout.contacts))
@@ -507,10 +510,12 @@ class Data:
 def with_rows(model: Model, variables: Variables) -> RowData:
     """Variables with the rows of a model, and workspaces for them."""
     joints, contacts = model.layout.joint_counts, model.layout.contact_counts
+    work = make_work(joints, contacts, model.levers, model.layout.node, model.trees)
+    use_factors(work.trees, fields_of(TermAddresses, variables.bodies.pointers).factors)
     return RowData(
         model=model,
         arrays=variables,
-        work=make_work(joints, contacts, model.levers, model.layout.node, model.trees),
+        work=work,
         coupled=make_coupled(joints, contacts, model.layout.node),
         cache={},
     )

@@ -182,6 +182,11 @@ class Backends:
             self._coriolis = coriolis, call
         return self._coriolis
 
+    def want_factors(self) -> None:
+        """Let compiled robots write the factors of their inertias."""
+        if self._compiled is not None:
+            self._compiled.want_factors()
+
     def pose_address(self, robot: int, joint: int) -> int:
         """Address of the pose of a joint of a robot (0: the world): rotation by columns, origin."""
         if self._compiled is not None and robot in self._compiled.places:

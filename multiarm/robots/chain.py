@@ -122,9 +122,13 @@ def require_chain(robot: TreeStructure, tip_joint: int) -> TreeStructure:
 
 
 def joints_at_rest(count: int) -> np.ndarray:
-    """Joints without motion, mass and extent, shape (count, 34)."""
+    """Joints without motion, mass and extent, shape (count, 34).
+
+    Their drives have an inertia of 1, which has no effect on others.
+    """
     rows = np.zeros((count, JOINT_WIDTH))
     joints = fields_of(ChainJoint, rows)
+    joints.armature[:] = 1.0
     joints.axes[:] = joints.link_axes[:] = np.eye(3)
     return rows
 

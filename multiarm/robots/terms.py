@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.jit.pointers import PythonCallback
-from multiarm.jit.rows import Axes, Number, Vector, row_of, width
+from multiarm.jit.rows import Axes, Number, Pair, Vector, row_of, width
 from multiarm.jit.structs import Int, Numbers
 from multiarm.public import public_names
 
@@ -22,6 +22,7 @@ class TermAddresses(NamedTuple):
     jacobian: Number
     bias: Number
     gravity_torque: Number
+    factors: Number = 0  # (n, 13) rows of :class:`JointFactor`, 0 where there are none
 
     @property
     def inertia_matrix(self) -> MatrixAddress:
@@ -35,6 +36,7 @@ class TermAddresses(NamedTuple):
             jacobian=self.jacobian + NUMBER_BYTES * 6 * first,
             bias=self.bias + NUMBER_BYTES * first,
             gravity_torque=self.gravity_torque + NUMBER_BYTES * first,
+            factors=self.factors + NUMBER_BYTES * FACTOR_WIDTH * first if self.factors else 0,
         )
 
 
@@ -66,6 +68,29 @@ class LinkPose(NamedTuple):
 
 
 POSE_WIDTH, open_pose = width(LinkPose), row_of(LinkPose)
+
+
+class JointFactor(NamedTuple):
+    r"""What a joint has of the factors of its robot's inertia.
+
+    With the column S of each joint, about the robot's base, and the inertia :math:`I^A` of the
+    articulated body that begins at its link (R. Featherstone, Rigid Body Dynamics Algorithms, 2008,
+    7.3),
+
+    .. math::
+        M = L^T \operatorname{diag}(p)\, L, \qquad p_j = S_j\cdot I^A_j S_j, \qquad
+        L_{jj} = 1, \qquad L_{jk} = S_k\cdot V_j, \qquad V_j = I^A_j S_j / p_j
+
+    for all joints k on the way from the base to j.  A floating base has six joints, along and about
+    the axes of the world, in the order of its twist.
+    """
+
+    column: Pair  # S
+    force: Pair  # V
+    inverse: Number  # 1 / p
+
+
+FACTOR_WIDTH = width(JointFactor)
 
 
 class RobotTerms(NamedTuple):
@@ -247,6 +272,15 @@ class TreeStructure(NamedTuple):
         """Numbers of a velocity."""
         return self.number_of(self.parents.size)
 
+    @property
+    def parent_numbers(self) -> np.ndarray:
+        """As of :class:`multiarm.robots.robot.Robot`, shape (dof,)."""
+        numbers = [self.number_of(int(k)) if k >= 0 else -1 for k in self.parents]
+        if not self.base_floats:
+            return np.array(numbers, dtype=np.int64)
+        after = [BASE_DOF - 1 if number == 0 else number for number in numbers[1:]]
+        return np.array([*range(-1, BASE_DOF - 1), *after], dtype=np.int64)
+
     def number_of(self, joint: int) -> int:
         """The place of a joint's rate among the numbers of a velocity."""
         return joint + (BASE_DOF - 1 if self.base_floats and joint > 0 else 0)
@@ -282,6 +316,8 @@ class LinkTerms(NamedTuple):
         :class:`multiarm.contacts.motion.BodyMotion`.
     energy : (1,)
         Potential energy [J], zero at the world's origin.
+    factored : (n, n)
+        The product of the factors of the inertia, see :class:`JointFactor`.
     coriolis : (n, n)
         Matrix ``C`` for which the rate of the inertia is ``C + C^T``, and ``C q'`` the bias without
         gravity; zero where the base floats.
@@ -294,4 +330,5 @@ class LinkTerms(NamedTuple):
     poses: np.ndarray
     bodies: np.ndarray
     energy: np.ndarray
+    factored: np.ndarray
     coriolis: np.ndarray

@@ -17,7 +17,7 @@ import multiarm as ma
 from multiarm.dynamics.solver.batched import largest_free_rate, solve_batched
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW
 from multiarm.dynamics.solver.node import make_work
-from multiarm.dynamics.solver.trees import FEWEST_JOINTS, pays_as_tree, ways_of
+from multiarm.dynamics.solver.tree_tables import FEWEST_JOINTS, pays_as_tree, ways_of
 from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.scene import parse_scene
 

@@ -41,8 +41,9 @@ class Compiled:
         floats = [tree.base_floats for tree in structures]
         self.bases = np.cumsum([0, *floats])[:-1].tolist()
         tables = make_tables(structures, first[:-1].tolist(), rows, gravity, self.bases)
-        self.tables = tables._replace(wanted=Wanted(gravity_torque=True, poses=True))
-        self.backend = CompiledBackend(self.tables, places, {}, links)
+        self.tables = tables._replace(wanted=Wanted(gravity_torque=True, poses=True, factors=True))
+        robots = {str(k): tree for k, tree in enumerate(structures)}
+        self.backend = CompiledBackend(self.tables, places, robots, links)
         self.angles, self.rates = np.zeros(first[-1]), np.zeros(first[-1])
         self.bodies = np.full((len(links), 24), np.nan)
         self.base_poses = np.zeros((sum(floats), 7))

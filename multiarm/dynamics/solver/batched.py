@@ -35,11 +35,8 @@ import math
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.node import NODE, open_group
-from multiarm.dynamics.solver.trees import (
-    eliminate_tree,
-    largest_free_rate_of_trees,
-    substitute_tree,
-)
+from multiarm.dynamics.solver.tree_contacts import largest_free_rate_of_trees
+from multiarm.dynamics.solver.trees import eliminate_tree, substitute_tree
 from multiarm.dynamics.status import DEFICIENT, OK
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.simd import (

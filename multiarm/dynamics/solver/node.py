@@ -51,7 +51,7 @@ import numpy as np
 
 from multiarm.dynamics.solver.bounds import COUPLED_BELOW, MOBILITY_WEIGHT
 from multiarm.dynamics.solver.factors import copy_block, factor_cholesky, forward_columns
-from multiarm.dynamics.solver.trees import NO_TREES, Trees, tree_blocks
+from multiarm.dynamics.solver.tree_tables import NO_TREES, Trees, tree_blocks
 from multiarm.dynamics.status import BLOCK_INERTIA, BLOCK_NOT_FINITE, OK
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.rows import Number, row_of, width

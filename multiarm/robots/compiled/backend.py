@@ -34,8 +34,10 @@ from multiarm.robots.robot import Robot
 from multiarm.robots.terms import (
     BASE_DOF,
     BASE_POSE,
+    FACTOR_WIDTH,
     POSE_WIDTH,
     Coriolis,
+    JointFactor,
     LinkPose,
     LinkTerms,
     MatrixAddress,
@@ -56,6 +58,7 @@ _WORDS = {
     "poses": "the pose of a link",
     "bodies": "the motion of a link",
     "energy": "the potential energy",
+    "factored": "the product of the factors of the inertia",
     "coriolis": "the matrix of Coriolis forces",
 }
 # Where parts of a quantity begin that have other units.
@@ -192,6 +195,10 @@ class CompiledBackend:
         """Write gravity torques too."""
         self.tables.wanted.gravity_torque = True
 
+    def want_factors(self) -> None:
+        """Write the factors of the inertias of robots that are no plain arms."""
+        self.tables.wanted.factors = True
+
     def pose_address(self, place: int, joint: int) -> int:
         """Address of the pose of a joint, which is written from now on; joint 0 is the world."""
         if joint == 0:
@@ -220,8 +227,26 @@ class CompiledBackend:
             poses=terms[at.poses : at.poses + POSE_WIDTH * at.links].reshape(-1, POSE_WIDTH).copy(),
             bodies=self._work.bodies.reshape(-1, BODY_WIDTH)[rows].copy(),
             energy=np.sum(terms[at.energy : at.energy + at.energies], keepdims=True),
+            factored=self._factored(robot),
             coriolis=_square(self._coriolis, at.inertia, at.stride, n).T.copy(),
         )
+
+    def _factored(self, robot: int) -> np.ndarray:
+        """The product of the factors of the inertia; the inertia itself where there are none."""
+        at, terms = self._offsets[robot], self._terms
+        if not (at.factors and self.tables.wanted.factors):
+            lower = np.tril(_square(terms, at.inertia, at.stride, at.joints))
+            return lower + np.tril(lower, -1).T
+        rows = terms[at.factors : at.factors + FACTOR_WIDTH * at.joints]
+        of_joints = fields_of(JointFactor, rows.reshape(at.joints, FACTOR_WIDTH))
+        on_way = np.eye(at.joints, dtype=bool)
+        robots = list(self._robots.values())
+        for joint, parent in enumerate(robots[self.places[robot]].parent_numbers):
+            if parent >= 0:
+                on_way[joint] |= on_way[parent]
+        L = np.where(on_way, of_joints.force @ of_joints.column.T, 0.0)
+        np.fill_diagonal(L, 1.0)
+        return L.T @ (L / of_joints.inverse[:, None])
 
     def _pointers(self, offsets: TermOffsets) -> np.ndarray:
         at = self._terms.ctypes.data
@@ -231,6 +256,7 @@ class CompiledBackend:
             jacobian=at + 8 * offsets.jacobian,
             bias=at + 8 * offsets.bias,
             gravity_torque=at + 8 * offsets.gravity_torque,
+            factors=at + 8 * offsets.factors if offsets.factors else 0,
         )
         return np.array(addresses, dtype=np.int64)
 
@@ -254,7 +280,7 @@ def verify(
     """
     first = np.cumsum([0, *(robot.dof for robot in robots.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    wanted = Wanted(gravity_torque=True, poses=True)
+    wanted = Wanted(gravity_torque=True, poses=True, factors=True)
     copies = CompiledBackend(tables._replace(wanted=wanted), places, robots, links)
     bases = floating_bases(robots)
     poses = np.zeros((sum(robot.floats for robot in robots.values()), BASE_POSE))
@@ -351,6 +377,7 @@ def _floors(robot: TreeStructure, terms: LinkTerms, gravity: np.ndarray) -> dict
         "poses": 1.0,
         "bodies": 1.0,
         "energy": held + mass * weight * away,
+        "factored": inertia,
         "coriolis": LARGEST_VELOCITY * inertia,
     }
 

@@ -65,7 +65,9 @@ from multiarm.robots.chain import (
     times_inertia,
     write_motion,
 )
+from multiarm.robots.compiled.factors import begin_articulated, factor_base, factor_inwards
 from multiarm.robots.compiled.tables import (
+    ARTICULATED_LANES,
     BODY_LANES,
     FIXED_BASE,
     FLOATING_BASE,
@@ -108,11 +110,26 @@ def update_robots(address, size, _a, _b):
                 write_base_terms(tables, work, b)
             else:
                 inwards(tables, work, b)
+        if tables.wanted.factors and not groups.plain[g]:
+            factor(tables, work, first, end)
         if groups.plain[g]:
             transpose_terms(tables, work, g)
         else:
             move_terms(tables, work, g)
     return 0
+
+
+@inlined
+def factor(tables, work, first, end):
+    """Factors of the inertias of a group, whose blocks are ``first`` to ``end``."""
+    blocks, size = tables.blocks, ARTICULATED_LANES // LANES
+    for b in range(end - 1, first - 1, -1):
+        if blocks.start[b] == FLOATING_BASE:
+            factor_base(tables, work, b)
+            continue
+        factor_inwards(tables, work, b)
+        if blocks.start[b] == LINK:
+            add_to_parents(blocks, b, work.articulated_sum, work.articulated, 0, size)
 
 
 @kernel
@@ -173,6 +190,8 @@ def outwards(tables, work, b):
         if tables.divides[first + k]:
             frame = open_frame(work.frames, FRAME_LANES * (row + k))
             frame.axes, frame.origin, frame.twist, frame.rate = axes, p, twist, rate_of_twist
+            if tables.wanted.factors:
+                begin_articulated(work.articulated, row + k, link.mass, link.moment, link.second)
 
 
 @inlined
@@ -356,6 +375,8 @@ def move_terms(tables, work, g):
     move(work.leaves, tables.groups.terms, g, work.terms)
     if tables.wanted.poses:
         move(work.leaves, tables.groups.poses, g, work.terms)
+    if tables.wanted.factors:
+        move(work.leaves, tables.groups.factors, g, work.terms)
     motions = tables.groups.motions
     for m in range(motions.first[g], motions.first[g + 1]):
         source, target = motions.sources[m], motions.targets[m]

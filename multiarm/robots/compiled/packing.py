@@ -30,7 +30,7 @@ from multiarm.robots.compiled.tables import (
     TermOffsets,
     Wanted,
 )
-from multiarm.robots.terms import BASE_DOF, POSE_WIDTH, TreeStructure
+from multiarm.robots.terms import BASE_DOF, FACTOR_WIDTH, POSE_WIDTH, TreeStructure
 
 Pairs = list[tuple[int, int]]
 
@@ -178,7 +178,8 @@ def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
         numbers, columns = joints, base_columns + ancestors + joints
         if start == FLOATING_BASE:
             numbers = columns = BASE_DOF
-        leaves, motions = _offsets(blocks[-1].end if blocks else 0, numbers, joints, columns)
+        before = blocks[-1].end if blocks else 0
+        leaves, motions = _offsets(before, numbers, joints, columns, plain=group.plain)
         block = PlacedBlock(
             branches, joints, ancestors, blocks[-1].rows if blocks else 0, leaves, motions, 0, (),
             start, base_columns,
@@ -196,17 +197,19 @@ def _placed(group: Group, carriers: Sequence[Sequence[int]]) -> PlacedGroup:
 
 
 def _offsets(
-    at: int, joints: int, links: int, columns: int, energies: int = 1
+    at: int, joints: int, links: int, columns: int, energies: int = 1, plain: bool = False
 ) -> tuple[TermOffsets, int]:
     """Offsets of the terms of so many joints from one place on, and their end."""
     jacobian = at + joints * columns
     bias = jacobian + JACOBIAN_WIDTH * joints
     energy = bias + 2 * joints
     poses = _rounded_up(energy + energies)
+    end = poses + _rounded_up(POSE_WIDTH * links)
     terms = TermOffsets(
-        joints, links, at, columns, jacobian, bias, bias + joints, energy, energies, poses
-    )
-    return terms, poses + _rounded_up(POSE_WIDTH * links)
+        joints, links, at, columns, jacobian, bias, bias + joints, energy, energies, poses,
+        0 if plain else end,
+    )  # fmt: skip
+    return terms, end if plain else end + _rounded_up(FACTOR_WIDTH * joints)
 
 
 def _rounded_up(count: int) -> int:
@@ -249,7 +252,7 @@ def _robot_offsets(groups: Sequence[PlacedGroup], first_terms: dict[int, int]) -
                 if not group.plain:
                     robots[x.robot], _ = _offsets(first, *_sizes_of(group, x.robot))
                     continue
-                at, _ = _offsets(first, block.joints, block.joints, block.joints)
+                at, _ = _offsets(first, block.joints, block.joints, block.joints, plain=True)
                 robots[x.robot] = at._replace(
                     joints=len(x.joints),
                     links=len(x.joints),
@@ -301,6 +304,7 @@ def _block_table(
         gravity_torque=_integers([block.leaves.gravity_torque for block in blocks]),
         energy=_integers([block.leaves.energy for block in blocks]),
         poses=_integers([block.leaves.poses for block in blocks]),
+        factors=_integers([block.leaves.factors for block in blocks]),
         motions=_integers([block.motions for block in blocks]),
     )
 
@@ -332,6 +336,7 @@ def _group_table(
         bodies=_integers(bodies),
         terms=_moves([group.terms for group in runs], spare),
         poses=_moves([group.poses for group in runs], spare),
+        factors=_moves([group.factors for group in runs], spare),
         coriolis=_moves([group.coriolis for group in runs], spare),
         motions=Motions(
             sources=_integers([source for group in motions for source, _ in group]),
@@ -355,13 +360,14 @@ class GroupRuns(NamedTuple):
 
     terms: list[Run]
     poses: list[Run]
+    factors: list[Run]
     coriolis: list[Run]
 
 
 def _runs(
     group: PlacedGroup, robots: Sequence[TermOffsets], structures: Sequence[TreeStructure]
 ) -> GroupRuns:
-    runs, roots = GroupRuns([], [], []), [0] * len(robots)
+    runs, roots = GroupRuns([], [], [], []), [0] * len(robots)
     if group.plain:
         return runs
     for block in group.blocks:
@@ -383,6 +389,9 @@ def _runs(
                     leaf, place = getattr(leaves, name), getattr(terms, name)
                     run = Run(leaf + size * k, lane, place + size * number, size * numbers)
                     runs.terms.append(run)
+                leaf, place = leaves.factors + FACTOR_WIDTH * k, FACTOR_WIDTH * number
+                run = Run(leaf, lane, terms.factors + place, FACTOR_WIDTH * numbers)
+                runs.factors.append(run)
                 leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
                 runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
             if at_base:

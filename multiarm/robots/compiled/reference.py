@@ -106,6 +106,7 @@ def _link_terms(
         poses=np.array(poses),
         bodies=np.array(bodies).reshape(-1, BODY_WIDTH),
         energy=np.array([energy]),
+        factored=inertia,
         coriolis=coriolis,
     )
 

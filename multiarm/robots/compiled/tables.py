@@ -32,7 +32,7 @@ from multiarm.jit.structs import (
     view,
 )
 from multiarm.robots.chain import ChainJoint
-from multiarm.robots.terms import LinkPose
+from multiarm.robots.terms import FACTOR_WIDTH, JointFactor, LinkPose
 
 # At what the branches of a block begin.
 FIXED_BASE, FLOATING_BASE, LINK = 0, 1, 2
@@ -61,6 +61,18 @@ class TurnSweep(NamedTuple):
     turning: Axes  # the matrix G
 
 
+class ArticulatedBody(NamedTuple):
+    """Inertia of the body that begins at a link and is articulated beyond it, about the base.
+
+    A twist (v, omega) has the momentum ``linear v + coupling omega``, and about the base
+    ``coupling^T v + angular omega``.
+    """
+
+    linear: Symmetric
+    coupling: Axes  # by columns
+    angular: Symmetric
+
+
 class FrameSweep(NamedTuple):
     """Where the outward sweep stands: frame and motion of a joint, about the base."""
 
@@ -81,6 +93,7 @@ JOINT_LANES, LINK_LANES, TURN_LANES, FRAME_LANES, JACOBIAN_LANES, POSE_LANES, BO
     LANES * width(kind)
     for kind in (ChainJoint, LinkSweep, TurnSweep, FrameSweep, JacobianColumn, LinkPose, BodyMotion)
 )
+ARTICULATED_LANES, FACTOR_LANES = LANES * width(ArticulatedBody), LANES * FACTOR_WIDTH
 # Where the numbers begin that are summed inwards.
 LINK_SUMS, TURN_SUMS = offset_of(LinkSweep, "mass"), offset_of(TurnSweep, "momentum")
 # Where the parts of a frame begin.
@@ -91,6 +104,7 @@ open_joint, open_link, open_turn = lanes_of(ChainJoint), lanes_of(LinkSweep), la
 open_frame, open_jacobian, open_pose, open_body = (
     lanes_of(FrameSweep), lanes_of(JacobianColumn), lanes_of(LinkPose), lanes_of(BodyMotion)
 )  # fmt: skip
+open_articulated, open_factor = lanes_of(ArticulatedBody), lanes_of(JointFactor)
 
 
 class Wanted(Numbers):
@@ -98,13 +112,15 @@ class Wanted(Numbers):
 
     gravity_torque: Flag
     poses: Flag  # of all links
+    factors: Flag  # of the inertias of robots that are no plain arms
 
 
 class TermOffsets(NamedTuple):
     """Where the terms of a robot are among those of all, in numbers; a row of int64.
 
     Of its inertia (n, n), the lower triangle by rows; Jacobian (n, 6), a row a joint; bias and
-    gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (l, 12).
+    gravity torque (n,); potential energy, the sum of so many numbers; poses of all links (l, 12);
+    factors of the inertia (n, 13), which plain arms do without.
     A floating base has six of the n numbers of a velocity, and one of the l links.
     """
 
@@ -118,6 +134,7 @@ class TermOffsets(NamedTuple):
     energy: Number
     energies: Number
     poses: Number
+    factors: Number  # 0 for plain arms
 
 
 class Moves(NamedTuple):
@@ -172,7 +189,7 @@ class Blocks(NamedTuple):
         Number of lanes that have one.
     first_link : int64 (b,)
         Its first row of scratch; copies of the ancestors are before the joints.
-    inertia, jacobian, bias, gravity_torque, energy, poses, motions : int64 (b,)
+    inertia, jacobian, bias, gravity_torque, energy, poses, factors, motions : int64 (b,)
         Offsets in a lane's leaves: with n joints, a ancestors and b columns of a floating base,
         inertia (n, b + a + n), motions of the links that take part in connections; the rest as in
         :class:`TermOffsets`.
@@ -196,6 +213,7 @@ class Blocks(NamedTuple):
     gravity_torque: Ints1
     energy: Ints1
     poses: Ints1
+    factors: Ints1
     motions: Ints1
 
 
@@ -211,8 +229,8 @@ class Groups(NamedTuple):
         Of plain arms: offset of the terms of the first one; their number, the same for each.
     bodies : int64 (g, 4)
         Of plain arms: rows of the bodies.
-    terms, poses, coriolis : Moves
-        To the terms; those of poses; to the matrices of Coriolis forces.
+    terms, poses, factors, coriolis : Moves
+        To the terms; those of poses and of factors; to the matrices of Coriolis forces.
     motions : Motions
         To the bodies.
     """
@@ -225,6 +243,7 @@ class Groups(NamedTuple):
     bodies: Ints2
     terms: Moves
     poses: Moves
+    factors: Moves
     coriolis: Moves
     motions: Motions
 
@@ -240,7 +259,7 @@ class Sizes(NamedTuple):
 class RobotTables(NamedTuple):
     """Constants of compiled robots; ``b`` blocks, ``J`` joints in all of them, four lanes each.
 
-    robots : int64 (robots, 10)
+    robots : int64 (robots, 11)
         The :class:`TermOffsets` of each robot.
     energies : int64 (e,)
         Offsets of all potential energies.
@@ -288,12 +307,12 @@ class RobotWork(NamedTuple):
         :class:`multiarm.contacts.motion.BodyMotion`.
     angle, rate, sine, cosine : (4 J,)
         Of every lane's joint.
-    links, link_turns, frames : (4 w r,)
+    links, link_turns, frames, articulated : (4 w r,)
         Scratch of a group, rows of w lanes: every :class:`LinkSweep`, :class:`TurnSweep` and, where
-        branches begin, :class:`FrameSweep`.
+        branches begin, :class:`FrameSweep` and :class:`ArticulatedBody`.
     origins : (b, 12)
         Points about which moments are [m], lanes each: of floating bases where they are.
-    start, link_sum, turn_sum : (4 w,)
+    start, link_sum, turn_sum, articulated_sum : (4 w,)
         Scratch of a block: where its lanes begin; what they add to the links where they begin.
     leaves : (4 l,)
         Scratch of a group: its blocks' terms and bodies, lanes each.
@@ -313,10 +332,12 @@ class RobotWork(NamedTuple):
     links: Floats1
     link_turns: Floats1
     frames: Floats1
+    articulated: Floats1
     origins: Floats2
     start: Floats1
     link_sum: Floats1
     turn_sum: Floats1
+    articulated_sum: Floats1
     leaves: Floats1
     terms: Floats1
     coriolis: Floats1
@@ -364,10 +385,12 @@ def make_work(
         links=aligned_zeros(LINK_LANES * rows),
         link_turns=aligned_zeros(TURN_LANES * rows),
         frames=aligned_zeros(FRAME_LANES * rows),
+        articulated=aligned_zeros(ARTICULATED_LANES * rows),
         origins=tables.bases.copy(),
         start=aligned_zeros(FRAME_LANES),
         link_sum=aligned_zeros(LINK_LANES),
         turn_sum=aligned_zeros(TURN_LANES),
+        articulated_sum=aligned_zeros(ARTICULATED_LANES),
         leaves=aligned_zeros(LANES * tables.sizes.leaves),
         terms=terms,
         coriolis=coriolis,
