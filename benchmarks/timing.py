@@ -22,7 +22,7 @@ from multiarm.jit.kernels import kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.tableaus import RK4
 
-BURST = 1e-3
+BURST = 2e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
 PATIENCE = 0.4
 """A contestant that has taken this long [s] is given no further burst, once it has had FEWEST."""
@@ -50,11 +50,20 @@ def measure(bursts: Mapping[str, Burst], turns: int) -> dict[str, np.ndarray]:
 
 
 def calls_a_burst(burst: Burst) -> int:
-    """How many calls make a burst of about the usual length."""
+    """How many calls make a burst of about the usual length.
+
+    To enter a compiled loop takes as long as ten small evaluations: only the time of many calls in
+    one burst is that of so many calls.
+    """
     burst(1)  # warm-up
-    begin = time.thread_time()
-    burst(2)
-    return max(1, round(BURST / max((time.thread_time() - begin) / 2, 1e-7)))
+    count = 1
+    while True:
+        begin = time.thread_time()
+        burst(count)
+        took = time.thread_time() - begin
+        if took > BURST / 2:
+            return max(1, round(count * BURST / took))
+        count *= 2
 
 
 def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:
