@@ -6,7 +6,9 @@ there at every evaluation,
 .. math::
     M = \operatorname{blkdiag}(M_1, M_2, \dots), \qquad
     J = [J_1\; J_2\; \dots], \qquad
-    b = (b_1, b_2, \dots) .
+    b = (b_1, b_2, \dots) ,
+
+and the factors of the inertia where all robots have them.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ import numpy as np
 from multiarm.jit.kernels import kernel
 from multiarm.jit.rows import Number, row_of, width
 from multiarm.jit.structs import floats_at
-from multiarm.robots.terms import MatrixAddress, TermAddresses
+from multiarm.robots.terms import FACTOR_WIDTH, MatrixAddress, TermAddresses
 
 
 class MatrixCopy(NamedTuple):
@@ -110,6 +112,8 @@ class JoinedTerms:
             "bias": np.zeros(first[-1]),
             "gravity_torque": np.zeros(first[-1]),
         }
+        if all(part.factors for part in parts):
+            self._lists["factors"] = np.zeros((first[-1], FACTOR_WIDTH))
         lists = {name: numbers.ctypes.data for name, numbers in self._lists.items()}
         self.addresses = TermAddresses(*self._inertia.address, **lists)
         self.copies = list(self._inertia.copies)
