@@ -25,12 +25,11 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import Code, belongs_to_joints, rolls
-from multiarm.dynamics.contact_geometry import force_directions
+from multiarm.dynamics.contact_geometry import block_inertia, force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import inertia_text, require_ok
-from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.model import Model
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.jit.rows import fields_of
@@ -152,7 +151,7 @@ class Linkage:
         if not n:  # the surroundings
             return np.zeros((0, 0))
         try:
-            return np.linalg.cholesky(read_inertia(data.arrays.bodies.pointers[i], n))
+            return np.linalg.cholesky(block_inertia(data, i))
         except np.linalg.LinAlgError:
             raise SolverError(inertia_text(data.model, i)) from None
 

@@ -58,6 +58,7 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
 from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
@@ -163,6 +164,7 @@ def add_motion_forces(law, command, feedforward, model, data, work):
 
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
+    complete_inertias(work)
     command.targets.independent = True
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]

@@ -29,9 +29,10 @@ from multiarm.contacts.table import PAIR, Code, ContactGeometry, open_code
 from multiarm.contacts.unilateral import Constraint
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.data import Data, Evaluated
-from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.equations import update_kinematics, write_inertias
 from multiarm.dynamics.failures import is_tip_of_arm, owner_of, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
+from multiarm.dynamics.kinematics import inertia_in
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 from multiarm.dynamics.state import State
@@ -178,7 +179,10 @@ def of_unit_length(columns: np.ndarray) -> np.ndarray:
 
 
 def scaled_force_directions(data: Evaluated) -> np.ndarray:
-    """:func:`force_directions`, coordinates scaled by the square root of their inertia."""
+    """:func:`force_directions`, coordinates scaled by the square root of their inertia.
+
+    Of all inertias in ``work.M`` (:func:`multiarm.dynamics.equations.write_inertias`).
+    """
     layout, scale = data.model.layout, np.empty(data.model.layout.nv)
     scale[layout.of_frames] = np.sqrt(np.diag(data.arrays.bodies.object_inertia))
     for i in layout.blocks_of_robots:
@@ -187,7 +191,13 @@ def scaled_force_directions(data: Evaluated) -> np.ndarray:
     return force_directions(data) / scale[:, None]
 
 
-def group_inertia(data: Evaluated, robots: range) -> np.ndarray:
+def block_inertia(data: Data, i: int) -> np.ndarray:
+    """Inertia of a block at the last terms of its robots, symmetric, shape (n, n)."""
+    write_inertias(data.struct)
+    return inertia_in(data.work, i)
+
+
+def group_inertia(data: Data, robots: range) -> np.ndarray:
     """Inertia of the joints of one of ``Layout.robot_groups``, symmetric, shape (n, n)."""
     layout = data.model.layout
     first, end = layout.first_joint[robots.start], layout.first_joint[robots.stop]
@@ -195,8 +205,7 @@ def group_inertia(data: Evaluated, robots: range) -> np.ndarray:
     for block in range(layout.blocks_of(robots[0]).start, layout.blocks_of(robots[-1]).stop):
         d = layout.joints_of_block(block)
         part = slice(d.start - first, d.stop - first)
-        lower = np.tril(data.work.M[block, : d.stop - d.start, : d.stop - d.start])
-        inertia[part, part] = lower + np.tril(lower, -1).T
+        inertia[part, part] = block_inertia(data, block)
     return inertia
 
 

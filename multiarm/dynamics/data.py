@@ -8,6 +8,7 @@ Data.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from copy import copy
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -95,8 +96,6 @@ class SharedData:
         constants, layout = model.constants, model.layout
         self._backends, self._ground = model.backends.copy(), Ground()
         self._joined: list[JoinedTerms | JoinedMatrix] = []  # of blocks of several robots
-        if model.trees:
-            self._backends.want_factors()
         self.effects = model.effects.make_data()
         self.surfaces = [copy(surface) for surface in model.surfaces]
         self.guards = make_guards(model.guards, range(layout.contacts))
@@ -111,7 +110,7 @@ class SharedData:
             passive=constants.passive_end > 0,
             contact_states=[len(states.get(owner, ())) for owner in layout.owners],
         )
-        terms, copies = self._term_addresses(layout)
+        terms, copies = self._term_addresses(layout, self._factored_blocks(model))
         pointers = Pointers(
             terms=terms,
             bases=self._backends.pointers[list(layout.floating_robots)],
@@ -144,12 +143,34 @@ class SharedData:
             self.calls.add(surface)
             v.search.user.callback = surface.address
 
-    def _term_addresses(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
-        """``BodyVariables.pointers``, ``copies``; the surroundings are a robot without joints."""
+    def _factored_blocks(self, model: Model) -> set[int]:
+        """The blocks that are eliminated by factors, which are wanted from now on."""
+        with_factors = fields_of(TermAddresses, self._backends.pointers).factors.tolist()
+        blocks = [
+            i
+            for i, parts in enumerate(model.layout.parts_of_blocks)
+            if parts and all(with_factors[part.robot] for part in parts)
+        ]
+        factored = set() if model.constants.dense else set(model.trees).intersection(blocks)
+        if factored:
+            others = set(model.layout.blocks_of_robots) - factored
+            parts = [part for i in others for part in model.layout.parts_of_blocks[i]]
+            self._backends.want_factors(any(with_factors[part.robot] for part in parts))
+        return factored
+
+    def _term_addresses(
+        self, layout: Layout, factored: Collection[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``BodyVariables.pointers``, ``copies``; the surroundings are a robot without joints.
+
+        Blocks that are eliminated by their entries have no addresses of factors.
+        """
         copies: list[MatrixCopy] = []
         robots, of_blocks = [TermAddresses(*row) for row in self._backends.pointers.tolist()], []
-        for parts in layout.parts_of_blocks:
+        for i, parts in enumerate(layout.parts_of_blocks):
             terms = [robots[part.robot].from_joint(part.first) for part in parts]
+            if i not in factored:
+                terms = [term._replace(factors=0) for term in terms]
             if len(parts) > 1:
                 block = JoinedTerms(terms, [part.joints for part in parts])
                 self._joined.append(block)

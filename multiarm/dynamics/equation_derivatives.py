@@ -45,6 +45,7 @@ from multiarm.dynamics.coordinates import (
 )
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.layout import TWIST, Layout
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.dynamics.solver.factors import decompose, factor_lu, solve_rows
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.jit.kernels import (
@@ -263,6 +264,7 @@ def differentiate_bodies(struct, equations):
     """
     model, data, system = open_system(struct)
     links, work = open_links(equations), open_equations(equations)
+    complete_inertias(system)
     for l in range(work.dF_o.shape[0]):
         clear(work.dF_o[l])
     for i in range(system.first_joint.size - 1):

@@ -35,11 +35,13 @@ from multiarm.dynamics.kinematics import (
     constraint_matrices,
     contact_rows,
     load_inertia,
+    load_inertias,
     object_terms,
 )
 from multiarm.dynamics.residuals import imbalance
 from multiarm.dynamics.solver.batched import solve_batched
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.dynamics.solver.node import NODE, eliminate_blocks
 from multiarm.dynamics.solver.singular import (
     couple,
@@ -108,10 +110,17 @@ def write_equations(struct: INTS, alpha: NUMBER, beta: NUMBER):
 def update_kinematics(struct: INTS):
     """Terms of blocks and object, and all contact rows, at the state in ``data``.
 
-    Writes the inertias to ``work.M`` and the blocks' rows to ``work.W``.  Returns ``OK`` or
-    ``CALLBACK_FAILED``.
+    Writes the inertias to ``work.M``, but for those of blocks with factors, and the blocks' rows to
+    ``work.W``.  Returns ``OK`` or ``CALLBACK_FAILED``.
     """
     return call_cfunc(open_data(struct).functions.kinematics, struct, 0.0, 0.0)
+
+
+@kernel
+def write_inertias(struct: INTS):
+    """Write the inertias of all blocks, at the last terms of the robots, to ``work.M``."""
+    _, data, work = open_system(struct)
+    load_inertias(data, work)
 
 
 @kernel
@@ -194,8 +203,7 @@ def control_of_closed(address, size, _a, _b):
     model, of_closed, work = open_system(closed)
     contact_rows(closed, model, of_closed, work)
     constraint_matrices(model, of_closed, work)
-    for i in range(of_closed.bodies.pointers.shape[0]):
-        load_inertia(i, of_closed, work)
+    load_inertias(of_closed, work)
     load_gravity_torque(of_closed, work)
     return control_torques(closed, model.control.shape[0], model, of_closed)
 
@@ -372,6 +380,7 @@ def solve_decomposed(address, size, gap, _b):
 @kernel
 def solve_coupled_blocks(data, work, coupled, decompose_all, gap):
     """Eliminate and couple all blocks at the kinematics in ``data``; returns a status."""
+    complete_inertias(work)
     status, data.status.block = eliminate_blocks(work, data.rows.W_o)
     if status != OK:
         return status

@@ -7,7 +7,6 @@ object's; then the contacts of every connection.  The results are in
 
 from __future__ import annotations
 
-import ctypes
 import math
 
 import numpy as np
@@ -16,6 +15,8 @@ from multiarm.contacts.joint import write_relative
 from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import WHEELS, open_joint
+from multiarm.dynamics.solver.factored_trees import complete_inertias
+from multiarm.dynamics.solver.node import NodeWork
 from multiarm.jit.kernels import copy, inlined, kernel
 from multiarm.jit.pointers import call_cfunc, call_python
 from multiarm.jit.simd import LANES, broadcast, load_pack, store_pack
@@ -36,7 +37,6 @@ from multiarm.jit.vectors import (
 from multiarm.robots.joined import copy_matrices
 from multiarm.robots.terms import (
     POSE_WIDTH,
-    TermAddresses,
     open_addresses,
     open_link_addresses,
     open_pose,
@@ -420,11 +420,25 @@ def release_wheels(model, work):
     return count
 
 
+@kernel
+def load_inertias(data, work):
+    """Write the inertias of all blocks to ``work.M``."""
+    for i in range(data.bodies.pointers.shape[0]):
+        load_inertia(i, data, work)
+    complete_inertias(work)
+
+
 @inlined
 def load_inertia(i, data, work):
-    """Copy a block's inertia (lower triangle of the C-ordered view) into ``work.M``."""
+    """Copy a block's inertia (lower triangle of the C-ordered view) into ``work.M``.
+
+    That of a block with factors is written where it is wanted
+    (:func:`multiarm.dynamics.solver.factored_trees.complete_inertias`).
+    """
     d = work.first_joint[i + 1] - work.first_joint[i]
     addresses = open_addresses(data.bodies.pointers[i])
+    if addresses.factors != 0:
+        return
     stride = addresses.stride
     inertia, M = floats_at(addresses.inertia, d * stride), work.M[i]
     for a in range(d):
@@ -432,14 +446,8 @@ def load_inertia(i, data, work):
             M[a, b] = inertia[a * stride + b]
 
 
-def read_inertia(pointers: np.ndarray, n: int) -> np.ndarray:
-    """A copy of a block's inertia, symmetric, shape (n, n); ``pointers`` of the block."""
-    if n == 0:  # the surroundings
-        return np.zeros((0, 0))
-    addresses = TermAddresses(*pointers.tolist())
-    stride = addresses.stride
-    size = (n - 1) * stride + n
-    numbers = (ctypes.c_double * size).from_address(addresses.inertia)
-    flat = np.frombuffer(memoryview(numbers), dtype=float)
-    lower = np.lib.stride_tricks.as_strided(flat, (n, n), (8 * stride, 8))
-    return np.tril(lower) + np.tril(lower, -1).T
+def inertia_in(work: NodeWork, i: int) -> np.ndarray:
+    """A copy of the inertia of a block in ``work.M``, symmetric, shape (n, n)."""
+    n = work.first_joint[i + 1] - work.first_joint[i]
+    lower = np.tril(work.M[i, :n, :n])
+    return lower + np.tril(lower, -1).T

@@ -9,6 +9,7 @@ data, in world axes.
 from __future__ import annotations
 
 from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.jit.kernels import INTS, NUMBERS, inlined, kernel
 
 
@@ -34,6 +35,7 @@ def times_block_inertia(i, j, work, x):
 def write_momenta(struct: INTS, momenta: NUMBERS):
     """Write ``M v`` of objects and joints, in the order of a velocity [N s, N m s]."""
     _, data, work = open_system(struct)
+    complete_inertias(work)
     rates = data.state.joint_rates
     first = momenta.size - rates.size
     for k in range(first):
@@ -46,6 +48,7 @@ def write_momenta(struct: INTS, momenta: NUMBERS):
 @kernel
 def kinetic_energy(data, work):
     """Kinetic energy of robots and objects [J] at the last evaluated state."""
+    complete_inertias(work)
     velocity, rates, energy = data.state.velocity, data.state.joint_rates, 0.0
     for k in range(data.bodies.object_inertia.shape[0]):
         energy += 0.5 * velocity[k] * times_object_inertia(k, data, velocity)

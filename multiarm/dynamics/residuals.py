@@ -20,6 +20,7 @@ from multiarm.dynamics.contact_forces import add_contact_forces
 from multiarm.dynamics.momenta import times_block_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.solver.node import NODE
 from multiarm.jit.kernels import INTS, NUMBERS, copy, inlined, kernel, larger
@@ -42,6 +43,7 @@ def write_residuals(
     """
     _, data, work = open_system(struct)
     first = acceleration.size - data.state.joint_rates.size
+    complete_inertias(work)
     a_o, a, forces = acceleration[:first], acceleration[first:], data.forces.total
     copy(generalised_forces, forces)
     add_contact_forces(work, data.rows.W_o, work.W, force, forces[:first], forces[first:])

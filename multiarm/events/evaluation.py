@@ -16,7 +16,12 @@ from multiarm.contacts.unilateral import CONTACT
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import of_unit_length, scaled_force_directions
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.equations import evaluate_state, update_kinematics, update_rows
+from multiarm.dynamics.equations import (
+    evaluate_state,
+    update_kinematics,
+    update_rows,
+    write_inertias,
+)
 from multiarm.dynamics.evaluation import (
     Evaluation,
     Residuals,
@@ -156,6 +161,7 @@ def _all_forces(modes: Modes) -> tuple[np.ndarray, np.ndarray]:
     held, slides, of_held = modes.data.rows, modes.slides, modes.data.arrays.rows.force
     forces[held] = of_held
     require_ok(modes.full, update_kinematics(modes.full.struct))
+    write_inertias(modes.full.struct)
     columns = scaled_force_directions(modes.full)
     reactions = columns[:, held]  # of unit forces, with the friction that goes with them
     for s, (row, first) in enumerate(zip(slides.row, slides.tangent_of_all, strict=True)):

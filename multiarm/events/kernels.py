@@ -41,6 +41,7 @@ from multiarm.dynamics.sliding import (
     write_reactions,
 )
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND
+from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.dynamics.solver.reactions import (
     ReactionWork,
     eliminate_with_reactions,
@@ -209,6 +210,7 @@ def solve_reactions(data, work, mode, reactions, couple_all):
     """Eliminate and solve for one right-hand side, with the reaction matrices; returns a status."""
     rows, forces, accelerations = data.rows, data.forces, data.accelerations
     work.status.block_by_block = True
+    complete_inertias(work)
     status, data.status.block = eliminate_with_reactions(
         reactions, rows.W_o, mode.Wr_o, data.bodies.object_inertia, couple_all
     )

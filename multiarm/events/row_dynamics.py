@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.contact_geometry import force_directions
+from multiarm.dynamics.contact_geometry import block_inertia, force_directions
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import (
@@ -21,7 +21,6 @@ from multiarm.dynamics.equations import (
     update_rows,
 )
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.solver.bounds import DEPENDENT, HELD_RESPONSE, MOVABLE
 from multiarm.events.complementarity.problem import RANK
 from multiarm.events.modes import Modes
@@ -75,8 +74,7 @@ class RowDynamics:
         """Rate of each row due to a unit force on it without held rows, shape (len(jacobian),)."""
         full = self.full
         bodies = [full.arrays.bodies.object_inertia]
-        for i, joints in enumerate(full.model.layout.joint_counts):
-            bodies.append(read_inertia(full.arrays.bodies.pointers[i], joints))
+        bodies += [block_inertia(full, i) for i in range(full.model.layout.block_count)]
         total, first = np.zeros(len(jacobian)), 0
         for inertia in bodies:
             columns = jacobian[:, first : first + len(inertia)].T

@@ -182,10 +182,10 @@ class Backends:
             self._coriolis = coriolis, call
         return self._coriolis
 
-    def want_factors(self) -> None:
-        """Let compiled robots write the factors of their inertias."""
+    def want_factors(self, inertias: bool) -> None:
+        """Let compiled robots write the factors of their inertias, or both."""
         if self._compiled is not None:
-            self._compiled.want_factors()
+            self._compiled.want_factors(inertias)
 
     def pose_address(self, robot: int, joint: int) -> int:
         """Address of the pose of a joint of a robot (0: the world): rotation by columns, origin."""

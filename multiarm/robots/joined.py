@@ -8,7 +8,7 @@ there at every evaluation,
     J = [J_1\; J_2\; \dots], \qquad
     b = (b_1, b_2, \dots) ,
 
-and the factors of the inertia where all robots have them.
+or the factors of the inertia in place of M where all robots have them.
 """
 
 from __future__ import annotations
@@ -112,11 +112,12 @@ class JoinedTerms:
             "bias": np.zeros(first[-1]),
             "gravity_torque": np.zeros(first[-1]),
         }
-        if all(part.factors for part in parts):
+        factored = all(part.factors for part in parts)
+        if factored:
             self._lists["factors"] = np.zeros((first[-1], FACTOR_WIDTH))
         lists = {name: numbers.ctypes.data for name, numbers in self._lists.items()}
         self.addresses = TermAddresses(*self._inertia.address, **lists)
-        self.copies = list(self._inertia.copies)
+        self.copies = [] if factored else list(self._inertia.copies)
         for part, (begin, end) in zip(parts, pairwise(first), strict=True):
             target = self.addresses.from_joint(begin)
             for name, numbers in self._lists.items():

@@ -16,7 +16,7 @@ from multiarm.public import public_names
 class TermAddresses(NamedTuple):
     """Addresses of the float64 terms of a robot or of a block of its joints, a row of int64."""
 
-    inertia: Number
+    inertia: Number  # where there are factors, it is made from them when it is wanted
     stride: Number  # of the inertia, in numbers
     # (n, 6): the columns one after the other, each as if its joint moved all links
     jacobian: Number

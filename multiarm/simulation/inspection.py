@@ -24,7 +24,7 @@ from multiarm.contacts.joint import FrameRow, JointFrame, limits_of, write_relat
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.equations import update_kinematics, write_inertias
 from multiarm.dynamics.evaluation import (
     ContactTerms,
     Evaluation,
@@ -273,6 +273,7 @@ def count_freedom(data: Data) -> Freedom:
 
     All rows are closed, see :meth:`multiarm.dynamics.data.Data.closed`.
     """
+    write_inertias(data.struct)
     matrix = constraint_matrix(data)  # (6 F + n, N)
     space = null_space(matrix)
     rank, singular = space.rank, space.singular

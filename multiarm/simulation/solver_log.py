@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from multiarm.dynamics.contact_geometry import block_inertia
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import describe, is_serial_arm, lost_motions
 from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.kinematics import read_inertia
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.notation import count_of
@@ -99,7 +99,7 @@ def _nearest(data: Data, i: int) -> str:
     """Text for the direction in which a block moves least."""
     work, layout = data.work, data.model.layout
     d, m = layout.joint_counts[i], layout.contact_counts[i]
-    inertia = read_inertia(data.arrays.bodies.pointers[i], d)
+    inertia = block_inertia(data, i)
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     robot, of_block = layout.robots_of_block(i)[0], layout.contacts_of_block(i)

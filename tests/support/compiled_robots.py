@@ -41,7 +41,8 @@ class Compiled:
         floats = [tree.base_floats for tree in structures]
         self.bases = np.cumsum([0, *floats])[:-1].tolist()
         tables = make_tables(structures, first[:-1].tolist(), rows, gravity, self.bases)
-        self.tables = tables._replace(wanted=Wanted(gravity_torque=True, poses=True, factors=True))
+        wanted = Wanted(gravity_torque=True, poses=True, factors=True, inertias=True)
+        self.tables = tables._replace(wanted=wanted)
         robots = {str(k): tree for k, tree in enumerate(structures)}
         self.backend = CompiledBackend(self.tables, places, robots, links)
         self.angles, self.rates = np.zeros(first[-1]), np.zeros(first[-1])

@@ -14,7 +14,7 @@ from random_systems import Box, System, decades, draw_tilt, turned, unit
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.kinematics import read_inertia
+from multiarm.dynamics.contact_geometry import block_inertia
 from multiarm.dynamics.solver.dense import SystemSolution
 
 FAR = 1000.0  # [m]
@@ -136,15 +136,15 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, SystemSo
     run = scene.run.model_copy(update={"solver": solver, "arms": arms})
     compiled = ma.compile_system(scene.replace(run=run))
     found = ma.evaluate(compiled)
-    b, work, names = data_of(compiled).arrays, data_of(compiled).work, compiled.arm_names
-    pointers = b.bodies.pointers
+    data, names = data_of(compiled), compiled.arm_names
+    b, work = data.arrays, data.work
     dofs, rows = np.diff(work.first_joint), work.first_contact
     size = float(np.max(np.linalg.norm(b.rows.W_o[:, 3:], axis=1)))
     W_o = [b.rows.W_o[rows[i] : rows[i + 1]].T.copy() for i in range(len(names))]
     W = [work.W[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
         M_o=b.bodies.object_inertia.copy(), f_o=b.forces.f_o.copy(),
-        M=[read_inertia(pointers[i], d) for i, d in enumerate(dofs)],
+        M=[block_inertia(data, i) for i in range(dofs.size)],
         f_j=np.split(b.forces.f_j.copy(), work.first_joint[1:-1]),
         c=np.split(b.rows.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.tree_contacts import add_run
-from multiarm.dynamics.solver.tree_tables import packs_of_row
+from multiarm.dynamics.solver.tree_tables import open_tree, packs_of_row
 from multiarm.jit.kernels import fused, inlined, kernel
 from multiarm.jit.simd import (
     LANES,
@@ -295,3 +295,38 @@ def accelerate_run(tree, r, d0, factors, trees, a_j):
         at += FACTOR_WIDTH
     own[0], own[LANES], own[2 * LANES] = x, y, z
     own[3 * LANES], own[4 * LANES], own[5 * LANES] = u, v, w
+
+
+# --- inertias -------------------------------------------------------------------------------------
+
+
+@kernel
+def complete_inertias(work):
+    """Write the inertias of the blocks that are eliminated by factors, which no solution reads."""
+    trees = work.trees
+    for t in range(trees.block.shape[0]):
+        tree = open_tree(trees.block[t])
+        if tree.factors != 0:
+            n = work.first_joint[tree.block + 1] - work.first_joint[tree.block]
+            write_inertia(tree, n, trees, work.M[tree.block])
+
+
+@inlined
+def write_inertia(tree, n, trees, M):
+    r"""Write the lower triangle of :math:`M = L^T \operatorname{diag}(p)\, L`."""
+    factors, row = floats_at(tree.factors, FACTOR_WIDTH * n), trees.path
+    for j in range(n):
+        for k in range(j + 1):
+            M[j, k] = 0.0
+    for j in range(n):
+        depth, way, at = trees.depth[tree.first + j], trees.way[tree.first + j], FACTOR_WIDTH * j
+        for k in range(depth):
+            column, entry = FACTOR_WIDTH * trees.ways[way + k], 0.0
+            for l in range(TWIST):
+                entry += factors[column + l] * factors[at + TWIST + l]
+            row[k] = entry
+        row[depth] = 1.0
+        for k in range(depth + 1):
+            factor = row[k] / factors[at + INVERSE]
+            for l in range(k + 1):
+                M[trees.ways[way + k], trees.ways[way + l]] += factor * row[l]

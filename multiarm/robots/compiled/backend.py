@@ -195,9 +195,9 @@ class CompiledBackend:
         """Write gravity torques too."""
         self.tables.wanted.gravity_torque = True
 
-    def want_factors(self) -> None:
-        """Write the factors of the inertias of robots that are no plain arms."""
-        self.tables.wanted.factors = True
+    def want_factors(self, inertias: bool) -> None:
+        """Write the factors of the inertias of robots that are no plain arms, or both."""
+        self.tables.wanted.factors, self.tables.wanted.inertias = True, inertias
 
     def pose_address(self, place: int, joint: int) -> int:
         """Address of the pose of a joint, which is written from now on; joint 0 is the world."""
@@ -217,26 +217,24 @@ class CompiledBackend:
         """Copies of the last terms of robot number ``robot`` of these."""
         at, terms, n = self._offsets[robot], self._terms, self._offsets[robot].joints
         lower = np.tril(_square(terms, at.inertia, at.stride, n))
+        inertia = lower + np.tril(lower, -1).T
         jacobian = terms[at.jacobian : at.jacobian + JACOBIAN_WIDTH * n].reshape(n, 6)
         rows = [row for row, link in enumerate(self._links) if link[0] == self.places[robot]]
         return LinkTerms(
-            inertia=lower + np.tril(lower, -1).T,
+            inertia=inertia,
             jacobian=jacobian.T.copy(),
             bias=terms[at.bias : at.bias + n].copy(),
             gravity_torque=terms[at.gravity_torque : at.gravity_torque + n].copy(),
             poses=terms[at.poses : at.poses + POSE_WIDTH * at.links].reshape(-1, POSE_WIDTH).copy(),
             bodies=self._work.bodies.reshape(-1, BODY_WIDTH)[rows].copy(),
             energy=np.sum(terms[at.energy : at.energy + at.energies], keepdims=True),
-            factored=self._factored(robot),
+            factored=self._factored(robot) if at.factors else inertia,
             coriolis=_square(self._coriolis, at.inertia, at.stride, n).T.copy(),
         )
 
     def _factored(self, robot: int) -> np.ndarray:
-        """The product of the factors of the inertia; the inertia itself where there are none."""
+        """The product of the factors of the inertia."""
         at, terms = self._offsets[robot], self._terms
-        if not (at.factors and self.tables.wanted.factors):
-            lower = np.tril(_square(terms, at.inertia, at.stride, at.joints))
-            return lower + np.tril(lower, -1).T
         rows = terms[at.factors : at.factors + FACTOR_WIDTH * at.joints]
         of_joints = fields_of(JointFactor, rows.reshape(at.joints, FACTOR_WIDTH))
         on_way = np.eye(at.joints, dtype=bool)
@@ -280,7 +278,7 @@ def verify(
     """
     first = np.cumsum([0, *(robot.dof for robot in robots.values())])
     angles, rates = np.zeros(first[-1]), np.zeros(first[-1])
-    wanted = Wanted(gravity_torque=True, poses=True, factors=True)
+    wanted = Wanted(gravity_torque=True, poses=True, factors=True, inertias=True)
     copies = CompiledBackend(tables._replace(wanted=wanted), places, robots, links)
     bases = floating_bases(robots)
     poses = np.zeros((sum(robot.floats for robot in robots.values()), BASE_POSE))

@@ -65,7 +65,11 @@ from multiarm.robots.chain import (
     times_inertia,
     write_motion,
 )
-from multiarm.robots.compiled.factors import begin_articulated, factor_base, factor_inwards
+from multiarm.robots.compiled.factors import (
+    begin_articulated,
+    factor_base,
+    factor_inwards,
+)
 from multiarm.robots.compiled.tables import (
     ARTICULATED_LANES,
     BODY_LANES,
@@ -265,6 +269,7 @@ def inwards(tables, work, b):
     before, row = blocks.ancestors[b], blocks.first_link[b]
     inertia, bias, gravity_torque = blocks.inertia[b], blocks.bias[b], blocks.gravity_torque[b]
     base = blocks.base_columns[b]
+    whole = tables.wanted.inertias or blocks.factors[b] == 0  # those of plain arms have none
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
@@ -273,17 +278,18 @@ def inwards(tables, work, b):
         second, force = add_symmetric(second, link.second), add_pair(force, link.force)
         column = link.column
         store_pack(leaves, LANES * (bias + j), power(column, force))
-        # momentum of the composite body for a unit rate of the joint
-        momentum = times_inertia(mass, moment, second, column)
-        at = LANES * (inertia + (base + before + n) * j)
-        if base > 0:
-            store_pair(leaves, at, momentum)
-            at += LANES * base
-        for k in range(before + j):
-            ancestor = open_link(links, LINK_LANES * (row + k))
-            store_pack(leaves, at + LANES * k, power(ancestor.column, momentum))
-        drive = open_joint(constants, JOINT_LANES * (first + j)).armature
-        store_pack(leaves, at + LANES * (before + j), power(column, momentum) + drive)
+        if whole:
+            # momentum of the composite body for a unit rate of the joint
+            momentum = times_inertia(mass, moment, second, column)
+            at = LANES * (inertia + (base + before + n) * j)
+            if base > 0:
+                store_pair(leaves, at, momentum)
+                at += LANES * base
+            for k in range(before + j):
+                ancestor = open_link(links, LINK_LANES * (row + k))
+                store_pack(leaves, at + LANES * k, power(ancestor.column, momentum))
+            drive = open_joint(constants, JOINT_LANES * (first + j)).armature
+            store_pack(leaves, at + LANES * (before + j), power(column, momentum) + drive)
         if tables.wanted.gravity_torque:
             weight = scale(mass, gravity), cross(moment, gravity)
             held = broadcast(0.0) - power(column, weight)
@@ -297,12 +303,13 @@ def inwards(tables, work, b):
 
 
 @inlined
-def write_base_columns(k, axis, origin, mass, moment, second, blocks, b, leaves):
+def write_base_columns(k, axis, origin, mass, moment, second, tables, b, leaves):
     """Rows of the inertia and columns of the Jacobian along and about axis number ``k``."""
-    zero, width = zero_vector(), 6 * LANES
+    blocks, zero, width = tables.blocks, zero_vector(), 6 * LANES
     at, jacobian = LANES * blocks.inertia[b] + width * k, LANES * blocks.jacobian[b] + width * k
-    store_pair(leaves, at, (scale(mass, axis), zero))
-    store_pair(leaves, at + 3 * width, times_inertia(mass, moment, second, (zero, axis)))
+    if tables.wanted.inertias:
+        store_pair(leaves, at, (scale(mass, axis), zero))
+        store_pair(leaves, at + 3 * width, times_inertia(mass, moment, second, (zero, axis)))
     store_pair(leaves, jacobian, (axis, zero))
     store_pair(leaves, jacobian + 3 * width, (cross(origin, axis), axis))
 
@@ -324,9 +331,9 @@ def write_base_terms(tables, work, b):
     mass, moment, second = link.mass, link.moment, link.second
     store_pair(leaves, LANES * blocks.bias[b], link.force)
     one, none, zero = broadcast(1.0), broadcast(0.0), zero_vector()
-    write_base_columns(0, (one, none, none), origin, mass, moment, second, blocks, b, leaves)
-    write_base_columns(1, (none, one, none), origin, mass, moment, second, blocks, b, leaves)
-    write_base_columns(2, (none, none, one), origin, mass, moment, second, blocks, b, leaves)
+    write_base_columns(0, (one, none, none), origin, mass, moment, second, tables, b, leaves)
+    write_base_columns(1, (none, one, none), origin, mass, moment, second, tables, b, leaves)
+    write_base_columns(2, (none, none, one), origin, mass, moment, second, tables, b, leaves)
     if tables.wanted.gravity_torque:
         held = sub(zero, scale(mass, gravity)), cross(gravity, moment)
         store_pair(leaves, LANES * blocks.gravity_torque[b], held)
@@ -373,10 +380,12 @@ def transpose_to_robots(leaves, at, count, out, first, width):
 def move_terms(tables, work, g):
     """Move the leaves of a group of trees to the robots' terms, and to the bodies."""
     move(work.leaves, tables.groups.terms, g, work.terms)
-    if tables.wanted.poses:
-        move(work.leaves, tables.groups.poses, g, work.terms)
+    if tables.wanted.inertias:
+        move(work.leaves, tables.groups.inertias, g, work.terms)
     if tables.wanted.factors:
         move(work.leaves, tables.groups.factors, g, work.terms)
+    if tables.wanted.poses:
+        move(work.leaves, tables.groups.poses, g, work.terms)
     motions = tables.groups.motions
     for m in range(motions.first[g], motions.first[g + 1]):
         source, target = motions.sources[m], motions.targets[m]

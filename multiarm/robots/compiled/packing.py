@@ -158,7 +158,7 @@ def make_tables(
         bases=np.array(origins).reshape(len(blocks), -1),
         gravity=np.array(gravity, dtype=float),
         sizes=Sizes(rows, max(group.blocks[-1].end for group in groups), terms),
-        wanted=Wanted(),
+        wanted=Wanted(inertias=True),
     )
 
 
@@ -335,8 +335,9 @@ def _group_table(
         term_count=np.where(plain, [block.motions for block in first], 0),
         bodies=_integers(bodies),
         terms=_moves([group.terms for group in runs], spare),
-        poses=_moves([group.poses for group in runs], spare),
+        inertias=_moves([group.inertias for group in runs], spare),
         factors=_moves([group.factors for group in runs], spare),
+        poses=_moves([group.poses for group in runs], spare),
         coriolis=_moves([group.coriolis for group in runs], spare),
         motions=Motions(
             sources=_integers([source for group in motions for source, _ in group]),
@@ -359,15 +360,16 @@ class GroupRuns(NamedTuple):
     """Where the leaves of a group go."""
 
     terms: list[Run]
-    poses: list[Run]
+    inertias: list[Run]
     factors: list[Run]
+    poses: list[Run]
     coriolis: list[Run]
 
 
 def _runs(
     group: PlacedGroup, robots: Sequence[TermOffsets], structures: Sequence[TreeStructure]
 ) -> GroupRuns:
-    runs, roots = GroupRuns([], [], [], []), [0] * len(robots)
+    runs, roots = GroupRuns([], [], [], [], []), [0] * len(robots)
     if group.plain:
         return runs
     for block in group.blocks:
@@ -395,10 +397,10 @@ def _runs(
                 leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
                 runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
             if at_base:
-                runs.terms.extend(_base_runs(leaves.inertia, lane, terms))
+                runs.inertias.extend(_base_runs(leaves.inertia, lane, terms))
                 continue
             inertia, coriolis = _matrix_runs(block, lane, branch, terms, structure)
-            runs.terms.extend(inertia)
+            runs.inertias.extend(inertia)
             runs.coriolis.extend(coriolis)
     return runs
 

@@ -113,6 +113,7 @@ class Wanted(Numbers):
     gravity_torque: Flag
     poses: Flag  # of all links
     factors: Flag  # of the inertias of robots that are no plain arms
+    inertias: Flag  # themselves; those of plain arms always are
 
 
 class TermOffsets(NamedTuple):
@@ -229,8 +230,9 @@ class Groups(NamedTuple):
         Of plain arms: offset of the terms of the first one; their number, the same for each.
     bodies : int64 (g, 4)
         Of plain arms: rows of the bodies.
-    terms, poses, factors, coriolis : Moves
-        To the terms; those of poses and of factors; to the matrices of Coriolis forces.
+    terms, inertias, factors, poses, coriolis : Moves
+        To the terms: those of all evaluations, and those that are not always wanted; to the
+        matrices of Coriolis forces.
     motions : Motions
         To the bodies.
     """
@@ -242,8 +244,9 @@ class Groups(NamedTuple):
     term_count: Ints1
     bodies: Ints2
     terms: Moves
-    poses: Moves
+    inertias: Moves
     factors: Moves
+    poses: Moves
     coriolis: Moves
     motions: Motions
 
