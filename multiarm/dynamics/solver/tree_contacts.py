@@ -9,7 +9,7 @@ import math
 
 from multiarm.dynamics.solver.tree_tables import open_tree, packs_of_row
 from multiarm.jit.kernels import inlined, kernel
-from multiarm.jit.simd import LANES, broadcast, packs_of, store_pack
+from multiarm.jit.simd import LANES, broadcast, load_pack, packs_of, store_pack
 
 
 @inlined
@@ -45,10 +45,10 @@ def add_run(tree, j0, count, m, trees, first, end, node):
         free[p] = s
     out = packs_of(trees.contacts, tree.contacts)
     factors = LANES * (tree.table + stride * j0 + tree.left)
-    for a in range(LANES * first, min(LANES * end, m)):
-        subtract_rows(
-            out + width * a, own + tree.left, stride, count, trees.scaled, factors + a,
-            LANES * stride, a // LANES, end,
+    for p in range(first, end):
+        subtract_from_rows(
+            out + width * LANES * p, width, min(LANES, m - LANES * p), own + tree.left, stride,
+            count, trees.scaled, factors + LANES * p, LANES * stride, p, end,
         )  # fmt: skip
 
 
@@ -89,29 +89,78 @@ def subtract_rows(out, rows, stride, count, factors, at, step, low, high):
 
 
 @inlined
-def eliminate_contacts(tree, m, trees, node):
-    """Eliminate the contacts; returns the smallest relative pivot and the least of -K.
+def subtract_from_rows(out, width, lines, rows, stride, count, factors, at, step, low, high):
+    """:func:`subtract_rows` from up to four rows, ``lines``, whose factors follow each other."""
+    if lines < LANES:
+        for a in range(lines):
+            subtract_rows(out + width * a, rows, stride, count, factors, at + a, step, low, high)
+        return
+    first, second, third, fourth = out, out + width, out + 2 * width, out + 3 * width
+    k = low
+    while k + 2 <= high:
+        a, b, c, d = first[k], second[k], third[k], fourth[k]
+        e, f, g, h = first[k + 1], second[k + 1], third[k + 1], fourth[k + 1]
+        row, n = rows + k, at
+        for _ in range(count):
+            left, right = row[0], row[1]
+            factor = broadcast(factors[n])
+            a, e = a - factor * left, e - factor * right
+            factor = broadcast(factors[n + 1])
+            b, f = b - factor * left, f - factor * right
+            factor = broadcast(factors[n + 2])
+            c, g = c - factor * left, g - factor * right
+            factor = broadcast(factors[n + 3])
+            d, h = d - factor * left, h - factor * right
+            row, n = row + stride, n + step
+        first[k], second[k], third[k], fourth[k] = a, b, c, d
+        first[k + 1], second[k + 1], third[k + 1], fourth[k + 1] = e, f, g, h
+        k += 2
+    if k < high:
+        a, b, c, d = first[k], second[k], third[k], fourth[k]
+        row, n = rows + k, at
+        for _ in range(count):
+            left = row[0]
+            a, b = a - broadcast(factors[n]) * left, b - broadcast(factors[n + 1]) * left
+            c, d = c - broadcast(factors[n + 2]) * left, d - broadcast(factors[n + 3]) * left
+            row, n = row + stride, n + step
+        first[k], second[k], third[k], fourth[k] = a, b, c, d
 
-    0 where K is not positive definite.
+
+@inlined
+def eliminate_contacts(tree, m, trees, node):
+    """Eliminate the contacts, four rows at a time.
+
+    Returns the smallest relative pivot and the least of -K; 0 where K is not positive definite.
     """
     out, factors, inverse = trees.contacts, trees.factors, trees.inverse
     packs = packs_of_row(m)
-    width, vector = packs + packs_of_row(1 + node), LANES * tree.vector
-    rows, relative, weakest = packs_of(out, tree.contacts), 1.0, math.inf
+    width, vector, first = packs + packs_of_row(1 + node), LANES * tree.vector, tree.contacts
+    rows, relative, weakest = packs_of(out, first), 1.0, math.inf
+    of_four = packs_of(factors, 0)
     for a in range(m):
-        out[LANES * (tree.contacts + width * a + packs)] -= trees.free[vector + a]
-    for a in range(m):
-        row = LANES * (tree.contacts + width * a)
-        diagonal, above = out[row + a], LANES * tree.contacts + a
-        for b in range(a):
-            factors[b] = out[above] * inverse[vector + b]
-            above += LANES * width
-        subtract_rows(rows + width * a, rows, width, a, factors, 0, 1, a // LANES, width)
-        pivot = out[row + a]
-        if not pivot < 0.0:
-            return 0.0, 0.0
-        relative, weakest = min(relative, pivot / diagonal), min(weakest, -diagonal)
-        inverse[vector + a] = 1.0 / pivot
+        row = LANES * (first + width * a)
+        out[row + LANES * packs] -= trees.free[vector + a]
+        diagonal = inverse[vector + a] = out[row + a]
+        weakest = min(weakest, -diagonal)
+    for p in range(packs):
+        begin, lines = LANES * p, min(LANES, m - LANES * p)
+        for b in range(begin):
+            of_four[b] = rows[width * b + p] * broadcast(inverse[vector + b])
+        subtract_from_rows(
+            rows + width * begin, width, lines, rows, width, begin, factors, 0, LANES, p, width
+        )
+        for a in range(begin, begin + lines):
+            column = a - begin
+            subtract_rows(
+                rows + width * a, rows + width * begin, width, column, factors,
+                LANES * begin + column, LANES, p, width,
+            )  # fmt: skip
+            pivot, diagonal = out[LANES * (first + width * a) + a], inverse[vector + a]
+            if not pivot < 0.0:
+                return 0.0, 0.0
+            relative = min(relative, pivot / diagonal)
+            inverse[vector + a] = 1.0 / pivot
+            of_four[a] = rows[width * a + p] * broadcast(1.0 / pivot)
     return relative, weakest
 
 
@@ -119,19 +168,22 @@ def eliminate_contacts(tree, m, trees, node):
 def add_tree(tree, m, trees, sums, node):
     """Add an eliminated block to the packs of the node."""
     packs, right = packs_of_row(m), packs_of_row(1 + node)
-    width, rows = packs + right, packs_of(trees.contacts, tree.contacts + packs)
-    sum_of_row = packs_of(trees.factors, 0)
-    for k in range(node):
-        for p in range(packs_of_row(k + 2)):
-            s, row = broadcast(0.0), rows
-            at = LANES * (tree.contacts + packs) + 1 + k
-            for a in range(m):
-                factor = trees.contacts[at] * trees.inverse[LANES * tree.vector + a]
-                s = s - broadcast(factor) * row[p]
-                row, at = row + width, at + LANES * width
-            sum_of_row[p] = s
-        for l in range(k + 2):
-            sums[LANES * ((node + 1) * k + l)] += trees.factors[l]
+    width, first = packs + right, tree.contacts + packs
+    rows, products = packs_of(trees.contacts, first), packs_of(trees.products, 0)
+    of_four = packs_of(trees.factors, 0)
+    for k in range(0, node, LANES):
+        lines, high = min(LANES, node - k), packs_of_row(min(node, k + LANES) + 1)
+        at = LANES * first + 1 + k
+        for a in range(m):
+            inverse = broadcast(trees.inverse[LANES * tree.vector + a])
+            of_four[a] = load_pack(trees.contacts, at + LANES * width * a) * inverse
+        for n in range(lines):
+            for p in range(high):
+                products[right * n + p] = broadcast(0.0)
+        subtract_from_rows(products, right, lines, rows, width, m, trees.factors, 0, LANES, 0, high)
+        for n in range(lines):
+            for l in range(k + n + 2):
+                sums[LANES * ((node + 1) * (k + n) + l)] += trees.products[LANES * right * n + l]
 
 
 @inlined

@@ -57,12 +57,13 @@ class Trees(NamedTuple):
     table: Floats1
     scaled: Floats1  # the same rows over their pivots
     contacts: Floats1  # rows of contacts: -K, right-hand side, W_o^T
-    # of contacts: factors of one row, inverted pivots, W^T M^-1 f_j, unknowns; of a way: unknowns
+    # of contacts: factors of four rows, inverted pivots, W^T M^-1 f_j, unknowns; of a way: unknowns
     factors: Floats1
     inverse: Floats1
     free: Floats1
     solution: Floats1
     path: Floats1
+    products: Floats1  # four rows of the node
     tail: Floats1  # scratch: the last pack of a row of W
 
 
@@ -126,12 +127,13 @@ def tree_blocks(
         end=np.zeros(len(depth), dtype=np.int64),
         table=aligned_zeros(LANES * table),
         scaled=aligned_zeros(LANES * table),
-        contacts=aligned_zeros(LANES * of_contacts),
-        factors=aligned_zeros(LANES * max(most, right)),
+        contacts=aligned_zeros(LANES * (of_contacts + 1)),
+        factors=aligned_zeros(LANES * LANES * most),
         inverse=aligned_zeros(LANES * vector),
         free=aligned_zeros(LANES * vector),
         solution=aligned_zeros(LANES * most),
         path=aligned_zeros(LANES * longest),
+        products=aligned_zeros(LANES * LANES * right),
         tail=aligned_zeros(LANES),
     )
 
