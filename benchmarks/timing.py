@@ -24,6 +24,8 @@ from multiarm.tableaus import RK4
 
 BURST = 2e-3
 """Length of a burst [s], about; a single call that takes longer is a burst."""
+MOST_CALLS = 2**14
+"""In a burst."""
 PATIENCE = 0.4
 """A contestant that has taken this long [s] is given no further burst, once it has had FEWEST."""
 FEWEST = 3
@@ -56,14 +58,15 @@ def calls_a_burst(burst: Burst) -> int:
     one burst is that of so many calls.
     """
     burst(1)  # warm-up
-    count = 1
-    while True:
+    calls = 1
+    while calls < MOST_CALLS:
         begin = time.thread_time()
-        burst(count)
+        burst(calls)
         took = time.thread_time() - begin
         if took > BURST / 2:
-            return max(1, round(count * BURST / took))
-        count *= 2
+            return max(1, round(calls * BURST / took))
+        calls *= 2
+    return MOST_CALLS
 
 
 def fastest(times: Mapping[str, np.ndarray]) -> dict[str, float]:

@@ -1,0 +1,83 @@
+"""Claims about blocks that are eliminated by the factors of their inertias.
+
+Oracle: the same scenes with Pinocchio's inertias, eliminated by their entries.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanics import data_of
+from tree_scenes import DOWN
+
+import multiarm as ma
+from multiarm.dynamics.contact_geometry import block_inertia
+from multiarm.dynamics.momenta import write_momenta
+from multiarm.dynamics.solver.tree_tables import open_tree
+from multiarm.scene import parse_scene
+
+HANDS = {"left": "left_rubber_hand", "right": "right_rubber_hand"}
+BOX = {"shape": {"box": [0.2, 0.3, 0.2]}, "mass": 3.0, "pose": {"xyz": [0.3, 0.0, 1.0]}}
+HELD = [{"arm": "a/left", "kind": "weld"}, {"arm": "a/right", "kind": "ball"}]
+ARM = {"robot": "ur5", "base": {"xyz": [0.2, 1.0, 0.6]}, "tips": {"tip": "tool0"}}
+
+
+def humanoid(y: float = 0.0) -> dict[str, Any]:
+    return {
+        "robot": "g1_29dof_rev_1_0",
+        "base": {"moves": "free", "xyz": [0.0, y, 0.79], "twist": [0.1, 0.0, 0.2, 0.3, -0.1, 0.2]},
+        "tips": HANDS,
+    }
+
+
+def scene(robots: dict[str, Any], *joints: dict[str, Any]) -> ma.Scene:
+    return parse_scene(
+        {
+            "gravity": DOWN,
+            "object": BOX,
+            "robots": {"a": humanoid(), **robots},
+            "joints": [*HELD, *joints],
+        }
+    )
+
+
+SCENES = {
+    "alone": (scene({}), [True]),
+    "joined": (
+        scene({"b": humanoid(1.0)}, {"between": ["a/left", "b/right"], "kind": "ball"}),
+        [True],
+    ),
+    "joined to an arm": (
+        scene({"b": ARM}, {"between": ["a/left", "b/tip"], "kind": "ball"}),
+        [False],
+    ),
+    "beside one": (scene({"b": humanoid(3.0)}), [True, True]),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_factors_and_entries_of_inertias_say_the_same(name, rng):
+    """Accelerations, inertias and momenta; only blocks of trees have factors."""
+    drawn, factored = SCENES[name]
+    systems = [ma.compile_system(drawn, arms=arms) for arms in ("compiled", "pinocchio")]
+    state = systems[0].initial_state()
+    state.velocity[:] += 0.3 * rng.normal(size=state.velocity.size)
+    compiled, exact = (ma.evaluate(system, 0.0, state) for system in systems)
+    scale = np.max(np.abs(exact.accelerations))
+    np.testing.assert_allclose(compiled.accelerations, exact.accelerations, atol=1e-10 * scale)
+    assert (
+        compiled.residuals.arm
+        < 1e-10 * np.max(np.abs(block_inertia(data_of(systems[0]), 0))) * scale
+    )
+    data, pinocchio = map(data_of, systems)
+    trees = [open_tree(row) for row in data.work.trees.block]
+    assert [tree.factors != 0 for tree in trees] == factored
+    for i in range(data.model.layout.block_count):
+        M = block_inertia(pinocchio, i)
+        np.testing.assert_allclose(block_inertia(data, i), M, atol=1e-11 * np.max(np.abs(M)))
+    momenta = [np.empty_like(state.velocity) for _ in systems]
+    for data, written in zip(map(data_of, systems), momenta, strict=True):
+        write_momenta(data.struct, written)
+    np.testing.assert_allclose(*momenta, atol=1e-11 * np.max(np.abs(momenta)))
