@@ -5,7 +5,8 @@
 A Unitree G1 with 29 joints and a floating base holds a box, which is welded to both hands: 41
 degrees of freedom and 12 constraints; or its feet are welded to the ground too, 24 constraints.
 Pinocchio has the robot on a free-flyer, as its users would; ``lcaba`` takes one or three
-iterations, ``aba`` is the same system without its constraints.  The fastest burst of each counts.
+iterations, ``aba`` is the same system without its constraints.  Then up to 32 of these robots stand
+around one box, compiled.  The fastest burst of each counts.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ COMPILED, PINOCCHIO, UNCONSTRAINED = "compiled", "Pinocchio's terms", "aba, no c
 ITERATIONS = {"lcaba, 1 iteration": 1, "lcaba, 3 iterations": 3}
 DYNAMICS = "constraintDynamics"
 METHODS = (COMPILED, PINOCCHIO, *ITERATIONS, DYNAMICS, UNCONSTRAINED)
+CROWDS = (1, 2, 4, 8, 16, 32)
 COPIES = 3
 """Of our arrays: where they lie in memory changes the time of some evaluations."""
 COLOURS = dict(zip(METHODS, (PINK, BLUE, GREEN, GREEN, ORANGE, ORANGE), strict=True))
@@ -50,18 +52,46 @@ def main(words: Sequence[str] | None = None) -> None:
     arguments = output.options(__doc__, "humanoids").parse_args(words)
     with output.Clock() as clock:
         rows = humanoid_costs(arguments.rounds)
+        rows = pandas.concat([rows, crowd_costs(CROWDS, arguments.rounds)], ignore_index=True)
     output.save(arguments, clock, "humanoids", rows, figure)
 
 
 def humanoid_costs(rounds: int) -> pandas.DataFrame:
     """A row for both systems and every method.
 
-    ``microseconds`` of an evaluation; ``ratio`` of them to those of ours with compiled terms; and
+    ``microseconds`` of an evaluation, and divided by the number of ``humanoids``; ``ratio`` of them
+    to those of ours with compiled terms; and
     ``relative_error``, the largest deviation of an acceleration from the dense solution over the
     largest of them, none for what has no constraints.
     """
     with one_thread():
         return pandas.DataFrame([row for name in SYSTEMS for row in _measure(name, rounds)])
+
+
+def crowd_costs(crowds: Sequence[int], rounds: int) -> pandas.DataFrame:
+    """Rows as in :func:`humanoid_costs` of humanoids that hold one box together."""
+    rows, bursts = [], {}
+    with one_thread():
+        for count in crowds:
+            system = compile_system(scene_of_crowd(count), arms="compiled")
+            state = system.initial_state()
+            rows.append(
+                {
+                    "system": "around one box",
+                    "humanoids": count,
+                    "freedoms": evaluate(system, 0.0, state).accelerations.size,
+                    "constraints": system.constraint_count,
+                    "method": COMPILED,
+                }
+            )
+            data = Data(system.model)
+            data.set_state(0.0, state)
+            bursts[str(count)] = slope_burst(data)
+        cost = fastest(measure(bursts, 40 * rounds))
+    table = pandas.DataFrame(rows)
+    table["microseconds"] = [cost[str(count)] for count in crowds]
+    table["microseconds_a_humanoid"] = table["microseconds"] / table["humanoids"]
+    return table
 
 
 def figure(rows: pandas.DataFrame) -> Figure:
@@ -89,6 +119,21 @@ def scene_of_humanoid(name: str) -> Scene:
             "robots": {"g1": {"robot": ROBOT, "base": base, "tips": {**HANDS, **FEET}}},
             "joints": held if name == SYSTEMS[0] else held + ground,
         }
+    )
+
+
+def scene_of_crowd(count: int) -> Scene:
+    """Humanoids in a circle, each with both hands on the box in its middle."""
+    robots, held = {}, []
+    for k in range(count):
+        angle, radius = 2.0 * np.pi * k / count, 0.3 + 0.15 * count
+        at = [float(-radius * np.cos(angle)), float(-radius * np.sin(angle)), 0.79]
+        base = {"moves": "free", "xyz": at, "rpy": [0.0, 0.0, angle]}
+        robots[f"g{k}"] = {"robot": ROBOT, "base": base, "tips": HANDS}
+        held += [{"arm": f"g{k}/{tip}", "kind": "weld"} for tip in HANDS]
+    box = {"shape": {"box": [0.2, 0.3, 0.2]}, "mass": 3.0 * count, "pose": {"xyz": [0.0, 0.0, 1.0]}}
+    return Scene.from_mapping(
+        {"gravity": [0.0, 0.0, -9.81], "object": box, "robots": robots, "joints": held}
     )
 
 
@@ -197,10 +242,12 @@ def _measure(name: str, rounds: int) -> list[dict[str, Any]]:
     return [
         {
             "system": name,
+            "humanoids": 1,
             "freedoms": exact.size,
             "constraints": reference.constraint_count,
             "method": method,
             "microseconds": cost[method],
+            "microseconds_a_humanoid": cost[method],
             "ratio": cost[method] / cost[COMPILED],
             "relative_error": np.max(np.abs(accelerations[method] - exact)) / scale
             if method in accelerations
