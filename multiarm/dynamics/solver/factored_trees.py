@@ -20,9 +20,8 @@ A row of the tables has the force first, and from its second pack on what the co
 
 from __future__ import annotations
 
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.tree_contacts import add_run
-from multiarm.dynamics.solver.tree_tables import open_tree, packs_of_row
+from multiarm.dynamics.solver.tree_tables import SCREW, open_tree, packs_of_row
 from multiarm.jit.kernels import fused, inlined, kernel
 from multiarm.jit.simd import (
     LANES,
@@ -52,7 +51,7 @@ def eliminate_by_factors(tree, n, m, work, f_j, node):
         mobility = max(mobility, levers[j] * levers[j] * inverse)
     for r in range(tree.runs, tree.end):
         trees.span[r, 0], trees.span[r, 1] = packs, 0
-        for k in range(TWIST):
+        for k in range(SCREW):
             trees.carried[r, LANES * k] = 0.0
     for r in range(tree.end - 1, tree.runs - 1, -1):
         j0, count, before = trees.runs[r, 0], trees.runs[r, 1], trees.runs[r, 2]
@@ -112,8 +111,8 @@ def last_pack(W, at, count, tail):
 @inlined
 def clear_carried(r, first, end, trees):
     """Set what the runs beyond a run hand on to it to zero, for some packs of contacts."""
-    carried = packs_of(trees.carried[r], TWIST)
-    for k in range(TWIST * first, TWIST * end):
+    carried = packs_of(trees.carried[r], SCREW)
+    for k in range(SCREW * first, SCREW * end):
         carried[k] = broadcast(0.0)
 
 
@@ -175,7 +174,7 @@ def carry_one(tree, r, j0, count, p, m, factors, work):
     """The rows of a run for a pack of contacts, and what it hands on to the run before it."""
     trees, W = work.trees, work.W
     packs, columns, before = packs_of_row(m), W.shape[2], trees.runs[r, 2]
-    own = packs_of(trees.carried[r], TWIST * (1 + p))
+    own = packs_of(trees.carried[r], SCREW * (1 + p))
     x, y, z, u, v, w = own[0], own[1], own[2], own[3], own[4], own[5]
     j = j0 + count - 1
     at, row = FACTOR_WIDTH * j, (tree.block * W.shape[1] + j) * columns + LANES * p
@@ -196,7 +195,7 @@ def carry_one(tree, r, j0, count, p, m, factors, work):
             at - FACTOR_WIDTH, row - columns, out + (-1 - packs), scaled + (-1 - packs)
         )  # fmt: skip
     if before >= 0:
-        add_carried(packs_of(trees.carried[before], TWIST * (1 + p)), x, y, z, u, v, w)
+        add_carried(packs_of(trees.carried[before], SCREW * (1 + p)), x, y, z, u, v, w)
 
 
 @inlined
@@ -211,7 +210,7 @@ def carry_two(tree, r, j0, count, p, m, factors, work):
     """:func:`carry_one` for two packs."""
     trees, W = work.trees, work.W
     packs, columns, before = packs_of_row(m), W.shape[2], trees.runs[r, 2]
-    own = packs_of(trees.carried[r], TWIST * (1 + p))
+    own = packs_of(trees.carried[r], SCREW * (1 + p))
     x, y, z, u, v, w = own[0], own[1], own[2], own[3], own[4], own[5]
     a, b, c, d, e, f = own[6], own[7], own[8], own[9], own[10], own[11]
     j = j0 + count - 1
@@ -245,9 +244,9 @@ def carry_two(tree, r, j0, count, p, m, factors, work):
             at - FACTOR_WIDTH, row - columns, out + (-1 - packs), scaled + (-1 - packs)
         )  # fmt: skip
     if before >= 0:
-        sums = packs_of(trees.carried[before], TWIST * (1 + p))
+        sums = packs_of(trees.carried[before], SCREW * (1 + p))
         add_carried(sums, x, y, z, u, v, w)
-        add_carried(sums + TWIST, a, b, c, d, e, f)
+        add_carried(sums + SCREW, a, b, c, d, e, f)
 
 
 @kernel
@@ -322,8 +321,8 @@ def write_inertia(tree, n, trees, M):
         depth, way, at = trees.depth[tree.first + j], trees.way[tree.first + j], FACTOR_WIDTH * j
         for k in range(depth):
             column, entry = FACTOR_WIDTH * trees.ways[way + k], 0.0
-            for l in range(TWIST):
-                entry += factors[column + l] * factors[at + TWIST + l]
+            for l in range(SCREW):
+                entry += factors[column + l] * factors[at + SCREW + l]
             row[k] = entry
         row[depth] = 1.0
         for k in range(depth + 1):

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.dynamics.layout import TWIST
 from multiarm.jit.kernels import plain
-from multiarm.jit.rows import Number, row_of, width
+from multiarm.jit.rows import Number, offset_of, row_of, width
 from multiarm.jit.simd import LANES, aligned_zeros
 from multiarm.jit.structs import Floats1, Floats2, Ints1, Ints2
+from multiarm.robots.terms import JointFactor
 
 
 class TreeBlock(NamedTuple):
@@ -67,6 +67,8 @@ class Trees(NamedTuple):
     tail: Floats1  # scratch: the last pack of a row of W
 
 
+SCREW = offset_of(JointFactor, "force")
+"""Numbers of a twist or a wrench."""
 FEWEST_JOINTS = 12
 """Smaller blocks are eliminated in less time in packs."""
 NO_TREES: Mapping[int, np.ndarray] = {}
@@ -114,7 +116,7 @@ def tree_blocks(
         table += joints[block] * (left + packs)
         of_contacts += contacts[block] * (packs + right)
         vector, most, longest = vector + packs, max(most, packs), max(longest, left)
-    room = LANES * TWIST * (1 + most)
+    room = LANES * SCREW * (1 + most)
     return Trees(
         block=np.array(blocks, dtype=np.int64).reshape(-1, width(TreeBlock)),
         depth=np.array(depth, dtype=np.int64),
