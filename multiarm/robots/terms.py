@@ -91,6 +91,8 @@ class JointFactor(NamedTuple):
 
 
 FACTOR_WIDTH = width(JointFactor)
+VANISHING_INERTIA = 1e-300
+"""Added to each p, which rounds it away unless p is zero: so the inverses are finite."""
 
 
 class RobotTerms(NamedTuple):

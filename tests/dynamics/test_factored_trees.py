@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from mechanics import data_of
-from tree_scenes import DOWN
+from tree_scenes import DOWN, hinge_urdf, link_urdf
 
 import multiarm as ma
 from multiarm.dynamics.contact_geometry import block_inertia
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.solver.tree_tables import open_tree
+from multiarm.errors import SolverError
 from multiarm.scene import parse_scene
 
 HANDS = {"left": "left_rubber_hand", "right": "right_rubber_hand"}
@@ -81,3 +82,27 @@ def test_factors_and_entries_of_inertias_say_the_same(name, rng):
     for data, written in zip(map(data_of, systems), momenta, strict=True):
         write_momenta(data.struct, written)
     np.testing.assert_allclose(*momenta, atol=1e-11 * np.max(np.abs(momenta)))
+
+
+def test_a_joint_without_inertia_is_named(tmp_path):
+    """The last link of the first branch has no mass."""
+    parts = [link_urdf("root")]
+    for branch in "ab":
+        before = "root"
+        for k in range(6):
+            link = f"{branch}{k}"
+            hinge = hinge_urdf(link).replace("'root'", f"'{before}'").replace("0 0 1", "0 1 0")
+            parts += [link_urdf(link, 0.0 if link == "a5" else 1.0), hinge]
+            before = link
+    path = tmp_path / "branches.urdf"
+    path.write_text(f"<robot name='branches'>{''.join(parts)}</robot>")
+    base = {"moves": "free", "mass": 1.0, "inertia": [1.0, 1.0, 1.0]}
+    robot = {"urdf": str(path), "base": base, "tips": {"tip": "b5", "free": "a5"}}
+    held = {"arm": "robot/tip", "kind": "weld"}
+    branches = parse_scene({"object": BOX, "robots": {"robot": robot}, "joints": [held]})
+    told = []
+    for arms in ("compiled", "pinocchio"):
+        with pytest.raises(SolverError) as caught:
+            ma.evaluate(ma.compile_system(branches, arms=arms))
+        told.append(str(caught.value))
+    assert told[0] == told[1] and "robot" in told[0]

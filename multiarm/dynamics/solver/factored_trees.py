@@ -33,9 +33,9 @@ from multiarm.jit.simd import (
     sum_pack,
 )
 from multiarm.jit.structs import floats_at
-from multiarm.robots.terms import FACTOR_WIDTH
+from multiarm.robots.terms import FACTOR_WIDTH, VANISHING_INERTIA
 
-INVERSE = FACTOR_WIDTH - 1
+INVERSE, LARGEST_INVERSE = FACTOR_WIDTH - 1, 0.5 / VANISHING_INERTIA
 
 
 @kernel
@@ -46,7 +46,7 @@ def eliminate_by_factors(tree, n, m, work, f_j, node):
     packs = packs_of_row(m)
     for j in range(n):
         inverse = factors[FACTOR_WIDTH * j + INVERSE]
-        if not inverse > 0.0:
+        if not 0.0 < inverse < LARGEST_INVERSE:
             return 0.0
         mobility = max(mobility, levers[j] * levers[j] * inverse)
     for r in range(tree.runs, tree.end):
@@ -324,8 +324,9 @@ def write_inertia(tree, n, trees, M):
             for l in range(SCREW):
                 entry += factors[column + l] * factors[at + SCREW + l]
             row[k] = entry
-        row[depth] = 1.0
+        row[depth], inverse = 1.0, factors[at + INVERSE]
+        p = 1.0 / inverse if inverse < LARGEST_INVERSE else 0.0
         for k in range(depth + 1):
-            factor = row[k] / factors[at + INVERSE]
+            factor = row[k] * p
             for l in range(k + 1):
                 M[trees.ways[way + k], trees.ways[way + l]] += factor * row[l]

@@ -37,6 +37,7 @@ from multiarm.robots.compiled.tables import (
     open_joint,
     open_link,
 )
+from multiarm.robots.terms import VANISHING_INERTIA
 
 
 @inlined
@@ -81,7 +82,7 @@ def factor_inwards(tables, work, b):
     """Factors of the joints of one block into ``leaves``."""
     blocks, leaves, n = tables.blocks, work.leaves, tables.blocks.joints[b]
     first, row = blocks.first_joint[b], blocks.first_link[b] + blocks.ancestors[b]
-    at, one, none = LANES * blocks.factors[b], broadcast(1.0), broadcast(0.0)
+    at, none = LANES * blocks.factors[b], broadcast(0.0)
     zero = none, none, none
     body = zero + zero, (zero, zero, zero), zero + zero
     for j in range(n - 1, -1, -1):
@@ -99,7 +100,7 @@ def factor_inwards(tables, work, b):
             add_times(rotate_back(coupling, v), angular, w),
         )
         drive = open_joint(tables.constants, JOINT_LANES * (first + j)).armature
-        inverse = one / (power(column, force) + drive)
+        inverse = inverse_of(power(column, force) + drive)
         ratio = scale(inverse, force[0]), scale(inverse, force[1])
         factor = open_factor(leaves, at + FACTOR_LANES * j)
         factor.column, factor.force, factor.inverse = column, ratio, inverse
@@ -133,7 +134,7 @@ def factor_base(tables, work, b):
 @inlined
 def column_over(force, pivot):
     """A column of an inertia, the same over its pivot, and the inverse of the pivot."""
-    inverse = broadcast(1.0) / pivot
+    inverse = inverse_of(pivot)
     return force, scale(inverse, force), inverse
 
 
@@ -147,10 +148,16 @@ def factor_along(column, body, k, leaves, at):
         (angular[2], angular[4], angular[5]),
     )
     force = coupling[k], columns[k]
-    inverse = broadcast(1.0) / columns[k][k]
+    inverse = inverse_of(columns[k][k])
     ratio = scale(inverse, force[0]), scale(inverse, force[1])
     put_factor(column, ratio, inverse, leaves, at)
     return without(body, force, ratio, broadcast(0.0) - inverse)
+
+
+@inlined
+def inverse_of(pivot):
+    """``1 / p``, finite where p is zero."""
+    return broadcast(1.0) / (pivot + broadcast(VANISHING_INERTIA))
 
 
 @inlined
