@@ -46,9 +46,14 @@ class Connection:
         return self.second.is_object
 
     @property
+    def objects(self) -> tuple[str, ...]:
+        """The objects among its bodies."""
+        return tuple(body.tip for body in (self.first, self.second) if body.is_object)
+
+    @property
     def of_object(self) -> bool:
         """Whether an object is one of its bodies."""
-        return self.first.is_object or self.second.is_object
+        return bool(self.objects)
 
 
 class Links(NamedTuple):

@@ -37,7 +37,6 @@ from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import ambiguity_text, contradiction_text, require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, decompose, internal_forces
 from multiarm.dynamics.layout import TWIST, Layout
-from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.residuals import write_residuals
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, PART_TOLERANCE
 from multiarm.dynamics.solver.dense import null_space
@@ -46,9 +45,11 @@ from multiarm.dynamics.solver.solution import Elimination
 from multiarm.dynamics.solver_monitor import evaluate_and_check
 from multiarm.dynamics.state import State, only_object
 from multiarm.dynamics.variables import Check
+from multiarm.errors import ModelError
 from multiarm.geometry.records import Contact, tangent_rows
 from multiarm.notation import numbers
 from multiarm.public import facts_html, public_names
+from multiarm.scene.faults import unknown
 from multiarm.scene.values import of_surroundings
 
 Rows = TypeVar("Rows", np.ndarray, tuple)
@@ -121,29 +122,40 @@ def _copied(arrays: tuple, names: Sequence[str]) -> SimpleNamespace:
 
 @dataclass(frozen=True, eq=False)
 class ForceDecomposition:
-    """Contact forces as what moves the object and what squeezes it.
+    """Contact forces as what moves the objects and what squeezes them.
 
     Attributes
     ----------
     moving : mapping connection -> ndarray, shape (N_i,)
-        The smallest contact forces with the same resultant [N].  Of the connections of the object,
-        that of an arm by its name.
+        The smallest contact forces with the same resultants [N].  Of the connections of the
+        objects, that of an arm by its name.
     squeezing : mapping connection -> ndarray, shape (N_i,)
-        The rest, which does not move the object [N].
+        The rest, which does not move the objects [N].
     internal : InternalForces
         Basis ``A_o`` over all these contacts, connection after connection.
     coordinates : ndarray, shape (k,)
         ``mu_I`` in that basis.
-    wrench : ndarray, shape (6,)
-        Resultant of the contact forces: force [N] and moment [N m] about the object's centre of
-        mass, in object axes.
+    resultants : mapping object -> ndarray, shape (6,)
+        Of the contact forces: force [N] and moment [N m] about the object's centre of mass, in
+        object axes.
     """
 
     moving: Mapping[str, np.ndarray]
     squeezing: Mapping[str, np.ndarray]
     internal: InternalForces
     coordinates: np.ndarray
-    wrench: np.ndarray
+    resultants: Mapping[str, np.ndarray]
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """The resultant on the object, where there is one, shape (6,).
+
+        Raises
+        ------
+        ModelError
+            Where there are several.
+        """
+        return only_object("resultants", self.resultants)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -393,87 +405,111 @@ class Evaluation:
         return joint_selection(model.frames[arm], relative).matrix @ relative.twist
 
     def internal_forces(
-        self, form: str = "orthonormal", rows: Sequence[int | str] | None = None
+        self,
+        form: str = "orthonormal",
+        rows: Sequence[int | str] | None = None,
+        object: str | None = None,
     ) -> InternalForces:
-        """Contact forces that do not move the object: basis ``A_o`` (thesis, 3.7.3).
+        """Contact forces that do not move the objects: basis ``A_o`` (thesis, 3.7.3).
 
         One row a contact, connection after connection, named ``arm/contact``.  ``form`` is
         ``orthonormal``, ``nonnegative`` or ``echelon``; see
         :func:`multiarm.dynamics.forces.internal_forces.internal_forces`.
 
+        With several objects, forces are internal that leave the acceleration of each as it is; with
+        the name of an ``object``, forces of the contacts of this one that leave its own, which also
+        has what presses between it and the others.
+
         Raises
         ------
         ModelError
-            Where there are several objects.
+            For an unknown object.
+        GraspError
+            As the function.
         """
-        require_one_object(self._held.model, "internal forces are those that do not move one")
         contacts = self._held.model.contacts
         names = [
             f"{name}/{contacts[name][row].name}"
-            for name, rows in self._holding.items()
+            for name, rows in self._contacts_of(object).items()
             for row in rows
         ]
-        return internal_forces(self.W_o, form, rows, names)
+        return internal_forces(self._wrench_matrix(object), form, rows, names)
 
     def force_decomposition(
-        self, internal: InternalForces | None = None, length: float | None = None
+        self,
+        internal: InternalForces | None = None,
+        length: float | None = None,
+        object: str | None = None,
     ) -> ForceDecomposition:
-        """Contact forces as those that move the object and those that only squeeze it [N].
+        """Contact forces as those that move the objects and those that only squeeze them [N].
 
         Friction is left out, and so are couplings of joints.  ``internal`` is the basis of the
         coordinates, orthonormal when left out.  With ``length``, forces are measured in newtons and
-        couples over this lever arm [m]; else multipliers as they are.
+        couples over this lever arm [m]; else multipliers as they are.  ``object`` as in
+        :meth:`internal_forces`.
 
         Raises
         ------
         ModelError
-            Where there are several objects.
+            For an unknown object.
         """
-        require_one_object(self._held.model, "forces are split by what they do to one")
-        internal = internal or self.internal_forces()
-        forces = [self._joint_forces[name][rows] for name, rows in self._holding.items()]
-        parts = decompose(self.W_o, np.concatenate(forces), internal, length)
+        holding = self._contacts_of(object)
+        internal = internal or self.internal_forces(object=object)
+        forces = [self._joint_forces[name][rows] for name, rows in holding.items()]
+        stacked = np.concatenate([np.zeros(0), *forces])
+        parts = decompose(self._wrench_matrix(object), stacked, internal, length)
         bounds = np.cumsum([len(force) for force in forces])[:-1]
 
         def by_connection(stacked: np.ndarray) -> dict[str, np.ndarray]:
-            return dict(zip(self._holding, np.split(stacked, bounds), strict=True))
+            return dict(zip(holding, np.split(stacked, bounds), strict=False))
 
+        objects = self._held.model.layout.objects if object is None else (object,)
         return ForceDecomposition(
             moving=by_connection(parts.moving),
             squeezing=by_connection(parts.squeezing),
             internal=internal,
             coordinates=parts.coordinates,
-            wrench=parts.wrench,
+            resultants=dict(zip(objects, parts.wrench.reshape(-1, TWIST), strict=True)),
         )
 
     @property
     def W_o(self) -> np.ndarray:
-        """``W_o`` of all contacts of the joints with the object, (6, N).
+        """``W_o`` of all contacts of the joints with objects, (6 F, N), in each object's axes.
 
-        Of a joint between the object and the world, whose forces act on the world, their opposite.
+        Of a joint that acts on another object or the world, its opposite acts on its first body.
+        """
+        return self._wrench_matrix(None)
+
+    def _wrench_matrix(self, object: str | None) -> np.ndarray:
+        """``W_o`` (6 F, N) of all objects, or (6, N) of one and its contacts."""
+        model, holding = self._held.model, self._contacts_of(object)
+        objects = model.layout.objects if object is None else (object,)
+        parts = [np.zeros((TWIST * len(objects), 0))]
+        for name, rows in holding.items():
+            pair, terms = model.connections[name], self.contact_terms[name]
+            directions = np.zeros((len(objects), TWIST, len(rows)))
+            for body, wrenches in ((pair.first, terms.W_m), (pair.second, terms.W_o)):
+                if body.is_object and body.tip in objects:
+                    directions[objects.index(body.tip)] = wrenches[:, rows]
+            parts.append(directions.reshape(-1, len(rows)))
+        return np.hstack(parts)
+
+    def _contacts_of(self, object: str | None) -> dict[str, list[int]]:
+        """The connections of all objects, or of one, with those of their rows that are contacts.
 
         Raises
         ------
         ModelError
-            Where there are several objects.
+            For an unknown object.
         """
-        require_one_object(self._held.model, "`contact_terms` has the W_o of each joint")
-        connections, parts = self._held.model.connections, []
-        for name, rows in self._holding.items():
-            terms = self.contact_terms[name]
-            on_second = terms.W_o if connections[name].on_object else terms.W_m
-            parts.append(on_second[:, rows])
-        return np.hstack(parts)
-
-    @cached_property
-    def _holding(self) -> dict[str, list[int]]:
-        """The connections of the object, with those of their rows that are contacts."""
-        model, rows = self._held.model, {}
+        model, contacts = self._held.model, {}
+        if object is not None and object not in model.layout.objects:
+            raise ModelError(unknown("object", object, model.layout.objects))
         for name, pair in model.connections.items():
-            if pair.of_object:
-                records = model.contacts[name]
-                rows[name] = [k for k, record in enumerate(records) if isinstance(record, Contact)]
-        return rows
+            if object in pair.objects or (object is None and pair.objects):
+                rows = enumerate(model.contacts[name])
+                contacts[name] = [k for k, record in rows if isinstance(record, Contact)]
+        return contacts
 
 
 def evaluate(data: Data, t: float, state: State) -> Evaluation:

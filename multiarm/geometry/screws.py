@@ -120,17 +120,17 @@ def zero_pitch(wrench: np.ndarray, psi: float = math.pi / 6, length: float = 1.0
 
 @dataclass(frozen=True)
 class ScrewSystem:
-    """Rank and null spaces of wrenches ``W`` (6, N).
+    """Rank and null spaces of wrenches ``W`` (6 K, N) on K bodies.
 
     Attributes
     ----------
     rank : int
         How many of the wrenches are independent.
-    reciprocal : ndarray, shape (6, 6 - rank)
+    reciprocal : ndarray, shape (6 K, 6 K - rank)
         Twists on which no wrench does work; columns ``t`` orthonormal as ``[v; length omega]``.
     dependencies : ndarray, shape (N, N - rank)
         Orthonormal columns ``lambda`` with ``W lambda = 0``, in canonical form.
-    singular : ndarray, shape (min(6, N),)
+    singular : ndarray, shape (min(6 K, N),)
         Singular values on which the rank was decided, relative to the largest.
     length : float
         The longest lever arm [m], by which moments were divided for that.
@@ -144,7 +144,7 @@ class ScrewSystem:
 
 
 def screw_system(W: np.ndarray) -> ScrewSystem:
-    """Rank and both null spaces of a set of wrenches.
+    """Rank and both null spaces of a set of wrenches, (6 K, N): six rows a body on which they act.
 
     The rank is decided on a scaled matrix: moments over the longest lever arm, columns of unit
     length, so that metres and millimetres, strong and weak rows weigh alike.
@@ -152,11 +152,11 @@ def screw_system(W: np.ndarray) -> ScrewSystem:
     Raises
     ------
     GraspError
-        When ``W`` does not have 6 rows or is not finite.
+        When ``W`` does not have 6 rows a body, or is not finite.
     """
-    W = wrench_matrix(W)
+    W = wrench_matrix(W, bodies=max(len(W) // 6, 1))
     length = lever_arm(W)
-    scale = row_scale(length)
+    scale = row_scale(length, len(W) // 6)
     norms = column_norms(W, length)
     left, singular, right = np.linalg.svd(scale[:, None] * W / norms)
     singular = singular / max(singular[0], 1e-300) if singular.size else singular
@@ -262,22 +262,23 @@ def canonical_basis(basis: np.ndarray) -> np.ndarray:
 
 
 def lever_arm(W: np.ndarray) -> float:
-    """Longest lever arm of wrenches (6, N) [m]; 1 when none has a force."""
-    if not np.any(W[:3]):
+    """Longest lever arm of wrenches (6 K, N) on K bodies [m]; 1 when none has a force."""
+    on_bodies = W.reshape(len(W) // 6, 6, W.shape[1])
+    if not np.any(on_bodies[:, :3]):
         return 1.0
-    force, moment = np.linalg.norm(W[:3], axis=0), np.linalg.norm(W[3:], axis=0)
+    force, moment = (np.linalg.norm(on_bodies[:, part], axis=1) for part in np.s_[:3, 3:])
     pushes = force > COUPLE_TOLERANCE * np.max(force)
     return max(float(np.max(moment[pushes] / force[pushes])), SHORTEST_LEVER)
 
 
-def row_scale(length: float) -> np.ndarray:
-    """Factors (6,) that make moments forces at a lever arm, and turn ``[v; l omega]`` to twists."""
-    return np.repeat([1.0, 1.0 / length], 3)
+def row_scale(length: float, bodies: int = 1) -> np.ndarray:
+    """Factors (6 K,) that make moments forces at a lever arm, and ``[v; l omega]`` to twists."""
+    return np.tile(np.repeat([1.0, 1.0 / length], 3), bodies)
 
 
 def column_norms(W: np.ndarray, length: float) -> np.ndarray:
-    """Sizes (N,) of wrenches, moments over ``length``; 1 for a zero wrench."""
-    norms = np.linalg.norm(row_scale(length)[:, None] * W, axis=0)
+    """Sizes (N,) of wrenches (6 K, N), moments over ``length``; 1 for a zero wrench."""
+    norms = np.linalg.norm(row_scale(length, len(W) // 6)[:, None] * W, axis=0)
     return np.where(norms > 0.0, norms, 1.0)
 
 
@@ -295,10 +296,10 @@ def chosen_rows(rows: Sequence[int | str], names: Sequence[str], what: str) -> t
     return tuple(numbers)
 
 
-def wrench_matrix(W: np.ndarray, name: str = "W") -> np.ndarray:
-    """The matrix as floats, its shape (6, N) and its numbers checked."""
+def wrench_matrix(W: np.ndarray, name: str = "W", bodies: int = 1) -> np.ndarray:
+    """The matrix as floats, its shape (6 K, N) for K bodies and its numbers checked."""
     W = np.asarray(W, dtype=float)
-    if W.ndim != 2 or W.shape[0] != 6:
+    if W.ndim != 2 or W.shape[0] != 6 * bodies:
         raise GraspError(f"{name} has one column of six numbers a wrench, not shape {W.shape}")
     if not np.all(np.isfinite(W)):
         column = int(np.argmin(np.all(np.isfinite(W), axis=0)))

@@ -324,6 +324,39 @@ def test_redundant_contacts_that_agree_still_carry_what_they_can(rng):
     np.testing.assert_allclose(found, np.linalg.pinv(W) @ W @ forces, atol=1e-12)
 
 
+# --- several objects -----------------------------------------------------------------------------
+
+
+def bodies_in_a_row(count):
+    """Pushes along x: from outside on both ends of a row of bodies, and between neighbours."""
+    W = np.zeros((6 * count, count + 1))
+    for body in range(count):
+        W[6 * body, body], W[6 * body, body + 1] = 1.0, -1.0
+    return W
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_presses_a_row_of_bodies_goes_through_all_of_them(form):
+    internal = internal_forces(bodies_in_a_row(3), form)
+    assert internal.rank == 3 and internal.count == 1
+    np.testing.assert_allclose(internal.basis[:, 0] / internal.basis[0, 0], 1.0, atol=1e-12)
+
+
+def test_forces_on_a_row_of_bodies_are_distributed_over_all_contacts():
+    """The middle one is pushed alone: by least squares the contacts share 1, 1, -2, -2 by 1/4."""
+    W, wrench = bodies_in_a_row(3), np.zeros(18)
+    wrench[6], expected = 1.0, np.array([0.5, 0.5, -0.5, -0.5])
+    for length in (None, 0.3):
+        np.testing.assert_allclose(distribute(W, wrench, length=length), expected, atol=1e-12)
+    np.testing.assert_allclose(distribute(W, wrench, [4.0]), expected + 2.0, atol=1e-12)
+    parts = decompose(W, expected + 3.0)
+    np.testing.assert_allclose(parts.moving, expected, atol=1e-12)
+    np.testing.assert_allclose(parts.wrench, wrench, atol=1e-12)
+    wrench[7] = 1.0
+    with pytest.raises(GraspError, match="left over; their rank is 3 of 18"):
+        distribute(W, wrench)
+
+
 # --- of a whole system ---------------------------------------------------------------------------
 
 

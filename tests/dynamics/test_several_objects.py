@@ -26,10 +26,13 @@ from object_scenes import (
     pendulum_accelerations,
 )
 from random_trees import OF_SEVERAL_OBJECTS, draw_trees
+from repository import SCENES
+from scipy.spatial.transform import Rotation
 from tree_models import constant_torques, read_tree_scene, start_of
 from tree_oracle import TreeSolution, solve_minimal, worst_gap
 
 import multiarm as ma
+from multiarm.assembly.start import project_start
 from multiarm.errors import ModelError
 from multiarm.scene import parse_scene
 
@@ -188,14 +191,70 @@ def test_states_have_their_objects_by_name():
         system.state(objects={"uper": {"position": [0.0, 0.0, 0.0]}})
 
 
-@pytest.mark.parametrize(
-    "read",
-    [
-        lambda ev: ev.W_o,
-        lambda ev: ev.internal_forces(),
-        lambda ev: ev.force_decomposition(),
-    ],
-)
-def test_forces_that_do_not_move_one_object_are_refused_where_there_are_several(read):
-    with pytest.raises(ModelError, match="2 objects, upper, lower"):
-        read(node(double_pendulum(ANGLES, RATES)))
+# --- forces that move no object ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stack() -> tuple[ma.System, ma.Evaluation]:
+    """Two arms hold a box, on which another is welded, in motion."""
+    system = ma.compile_system(ma.load_scene(SCENES / "two_arms_stack.yaml"))
+    state = system.initial_state()
+    rates = {"left": [0.3, -0.2, 0.4, 0.1, -0.3, 0.2]}
+    moving = system.state(objects={}, joint_positions=state.joint_positions, joint_velocities=rates)
+    with system.borrow() as data:
+        moving = project_start(data, system.scene, moving)[0]
+    return system, ma.evaluate(system, 0.0, moving)
+
+
+def resultants(scene: ma.Scene, ev: ma.Evaluation) -> dict[str, np.ndarray]:
+    """Of the contact forces on each object by Newton and Euler, in its axes."""
+    wrenches = {}
+    for name, spec in scene.all_objects.items():
+        moving, a = ev.state.objects[name], ev.object_accelerations[name]
+        R, omega = Rotation.from_quat(moving.quaternion_xyzw).as_matrix(), moving.twist[3:]
+        size, m = np.array(spec.shape.box), spec.mass
+        moments = m / 12.0 * (size @ size - size**2)
+        inertia = R @ np.diag(moments) @ R.T
+        moment = inertia @ a[3:] + np.cross(omega, inertia @ omega)
+        wrenches[name] = np.concatenate([R.T @ (m * (a[:3] + [0, 0, GRAVITY])), R.T @ moment])
+    return wrenches
+
+
+def test_forces_are_split_by_what_moves_any_object(stack):
+    system, ev = stack
+    parts, forces = ev.force_decomposition(), ev.contact_forces
+    assert ev.W_o.shape == (12, 18) and ev.internal_forces().count == 6
+    for name, wrench in resultants(system.scene, ev).items():
+        np.testing.assert_allclose(parts.resultants[name], wrench, atol=1e-8)
+    stacked = [np.concatenate(list(part.values())) for part in (parts.moving, parts.squeezing)]
+    together = np.concatenate([forces[name] for name in parts.moving])
+    np.testing.assert_allclose(ev.W_o @ together, np.hstack([*parts.resultants.values()]))
+    least = np.linalg.pinv(ev.W_o) @ (ev.W_o @ together)
+    np.testing.assert_allclose(stacked[0], least, atol=1e-8)
+    np.testing.assert_allclose(stacked[0] + stacked[1], together, atol=1e-9)
+    np.testing.assert_allclose(parts.squeezing["upper-lower"], 0.0, atol=1e-8)
+    with pytest.raises(ModelError, match="2 objects, lower, upper"):
+        _ = parts.wrench
+
+
+@pytest.mark.parametrize("name, count", [("lower", 12), ("upper", 0)])
+def test_forces_are_split_by_what_moves_one_object(stack, name, count):
+    system, ev = stack
+    parts = ev.force_decomposition(object=name)
+    assert ev.internal_forces(object=name).count == count
+    np.testing.assert_allclose(
+        parts.resultants[name], resultants(system.scene, ev)[name], atol=1e-8
+    )
+    expected = {"lower": ["left", "right", "upper-lower"], "upper": ["upper-lower"]}
+    assert list(parts.squeezing) == expected[name]
+    with pytest.raises(ModelError, match="unknown object 'midle'"):
+        ev.internal_forces(object="midle")
+
+
+def test_objects_that_nothing_touches_have_no_internal_forces():
+    scene = objects_scene({"ball": body(1.0, [0.1] * 3, [0, 0, 2.0])}, [])
+    scene |= {"robots": {name: {**spec} for name, spec in ASIDE.items()}}
+    ev = node({**scene, "gravity": [0.0, 0.0, -GRAVITY]})
+    parts = ev.force_decomposition()
+    assert parts.internal.count == 0 and parts.squeezing == {}
+    np.testing.assert_array_equal(parts.wrench, np.zeros(6))

@@ -1,4 +1,4 @@
-r"""Internal forces: contact forces that do not move the object.
+r"""Internal forces: contact forces that do not move the object, or any of several objects.
 
 The contacts of all arms together push the object with ``W_o lambda``.  With more contacts than the
 rank of ``W_o`` many forces exert the same wrench (thesis, 3.4 and 3.7.3):
@@ -7,8 +7,9 @@ rank of ``W_o`` many forces exert the same wrench (thesis, 3.4 and 3.7.3):
 
 The first part, of minimum norm, *moves* the object; the second part only *squeezes* it.
 ``W_o`` is about the object's centre of mass, in object axes: ``f_o`` is a force [N] and a moment
-[N m] there.  A multiplier ``lambda_j`` is the force of contact j [N], positive where it pushes; of
-a row that is a couple it is a moment in units of that row.
+[N m] there.  Of K objects that share contacts, ``W_o`` (6 K, N) has six rows each, in its own axes;
+forces are internal that move none of them.  A multiplier ``lambda_j`` is the force of contact j
+[N], positive where it pushes; of a row that is a couple it is a moment in units of that row.
 
 The basis ``A_o`` is a choice, and with it the meaning of the coordinates ``mu_I``:
 
@@ -68,7 +69,7 @@ class InternalForces:
     basis : ndarray, shape (N, N - rank)
         ``A_o``, with ``W_o A_o = 0``.
     rank : int
-        Rank of ``W_o``; with 6 the contacts hold the object fully.
+        Rank of ``W_o``; with 6 an object the contacts hold the objects fully.
     rows : tuple of int
         Echelon form: the contacts whose forces are the coordinates.  Else empty.
     form : str
@@ -100,9 +101,9 @@ class Decomposition:
         The rest, ``A_o mu_I`` [N].
     coordinates : ndarray, shape (N - rank,)
         ``mu_I``.
-    wrench : ndarray, shape (6,)
-        Resultant ``f_o`` on the object: force [N] and moment [N m] about the centre of mass, object
-        axes.
+    wrench : ndarray, shape (6 K,)
+        Resultant ``f_o`` on each object: force [N] and moment [N m] about the centre of mass,
+        object axes.
     """
 
     moving: np.ndarray
@@ -121,8 +122,8 @@ def internal_forces(
 
     Parameters
     ----------
-    W_o : ndarray, shape (6, N)
-        Wrenches of unit pushes of all contacts on the object, about one point.
+    W_o : ndarray, shape (6 K, N)
+        Wrenches of unit pushes of all contacts on each object, about one point of it.
     form : str
         ``orthonormal``, ``nonnegative`` (columns with largest entry 1; the first presses all
         contacts) or ``echelon``.
@@ -137,7 +138,7 @@ def internal_forces(
     GraspError
         An unknown form; no combination presses all contacts; rows that cannot be coordinates.
     """
-    W_o = wrench_matrix(W_o, "W_o")
+    W_o = _on_objects(W_o)
     labels = [f"contact {j}" for j in range(W_o.shape[1])] if names is None else list(names)
     if form not in FORMS:
         raise GraspError(f"unknown form {form!r} of internal forces; forms are {', '.join(FORMS)}")
@@ -179,10 +180,10 @@ def distribute(
 
     Parameters
     ----------
-    W_o : ndarray, shape (6, N)
-        Wrenches on the object about its centre of mass, object axes.
-    wrench : array-like, shape (6,)
-        Force [N] and moment [N m] there.
+    W_o : ndarray, shape (6 K, N)
+        Wrenches on each object about its centre of mass, object axes.
+    wrench : array-like, shape (6 K,)
+        Forces [N] and moments [N m] there.
     internal : array-like, shape (N - rank,), optional
         ``mu_I``; none when left out.
     basis : InternalForces, optional
@@ -196,20 +197,21 @@ def distribute(
         When the contacts cannot exert the wrench, or ``internal`` has another length or a number
         that is not finite.
     """
-    W_o, wrench = wrench_matrix(W_o, "W_o"), np.asarray(wrench, dtype=float)
-    if wrench.shape != (6,) or not np.all(np.isfinite(wrench)):
+    W_o, wrench = _on_objects(W_o), np.asarray(wrench, dtype=float)
+    objects = len(W_o) // 6
+    if wrench.shape != (6 * objects,) or not np.all(np.isfinite(wrench)):
         raise GraspError(f"a wrench is six finite numbers, not {wrench.tolist()}")
     screws = screw_system(W_o)
-    scale, norms = row_scale(screws.length), column_norms(W_o, screws.length)
+    scale, norms = row_scale(screws.length, objects), column_norms(W_o, screws.length)
     scaled = scale[:, None] * W_o / norms
     family, _ = forces_for(scaled, scale * wrench, RANK_TOLERANCE)
     some = family.least_norm / norms
     missing = wrench - W_o @ some
     if np.linalg.norm(scale * missing) > WRENCH_ROUNDING * np.linalg.norm(scale * wrench):
         raise GraspError(
-            f"the contacts cannot exert this wrench on the object: {_six(missing)} (force [N], "
+            f"the contacts cannot exert this wrench on the object: {_shown(missing)} (force [N], "
             f"moment [N m] about the centre of mass, object axes) is left over; their rank is "
-            f"{screws.rank} of 6"
+            f"{screws.rank} of {len(W_o)}"
         )
     force = _minimum_norm(W_o, screws.dependencies, some, length)
     if internal is None:
@@ -234,8 +236,8 @@ def decompose(
 
     Parameters
     ----------
-    W_o : ndarray, shape (6, N)
-        Wrenches on the object about its centre of mass, object axes.
+    W_o : ndarray, shape (6 K, N)
+        Wrenches on each object about its centre of mass, object axes.
     forces : array-like, shape (N,)
         Contact forces [N], positive pushes.
     basis : InternalForces, optional
@@ -248,7 +250,7 @@ def decompose(
     GraspError
         When the number of forces is not that of the contacts, or one of them is not finite.
     """
-    W_o, forces = wrench_matrix(W_o, "W_o"), np.asarray(forces, dtype=float)
+    W_o, forces = _on_objects(W_o), np.asarray(forces, dtype=float)
     if forces.shape != (W_o.shape[1],):
         raise GraspError(
             f"W_o has {count_of(W_o.shape[1], 'contact')}, the forces have shape {forces.shape}"
@@ -269,7 +271,9 @@ def _minimum_norm(
     if length is not None:
         if not length > 0.0:
             raise GraspError(f"length: a lever arm [m] greater than 0 is needed, got {length:g}")
-        push, turn = np.linalg.norm(W_o[:3], axis=0), np.linalg.norm(W_o[3:], axis=0) / length
+        on_objects = W_o.reshape(len(W_o) // 6, 6, W_o.shape[1])  # a force acts on two
+        push, turn = (np.linalg.norm(on_objects[:, k], axis=1).max(axis=0) for k in np.s_[:3, 3:])
+        turn = turn / length
         metric = np.where(push > COUPLE_TOLERANCE * turn, push, turn)
     weighted = metric[:, None] * null
     return force - null @ np.linalg.lstsq(weighted, metric * force, rcond=None)[0]
@@ -348,6 +352,10 @@ def _advice(A: np.ndarray, labels: list[str]) -> str:
     return f"; {' + '.join(labels[j] for j in pivots(A))} can"
 
 
-def _six(values: np.ndarray) -> str:
+def _on_objects(W_o: np.ndarray) -> np.ndarray:
+    return wrench_matrix(W_o, "W_o", max(len(W_o) // 6, 1))
+
+
+def _shown(values: np.ndarray) -> str:
     shown = np.where(np.abs(values) > WRENCH_ROUNDING * np.max(np.abs(values)), values, 0.0)
     return "[" + ", ".join(f"{value:.3g}" for value in shown) + "]"
