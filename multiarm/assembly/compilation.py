@@ -166,8 +166,8 @@ def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
     """The scene's control, for which all contacts of the joints are closed."""
     closed = data.closed
 
-    def path(waypoints: tuple[Waypoint, ...]) -> JointPath:
-        return joint_path(scene, closed, start, waypoints, compile_system)
+    def path(paths: Mapping[str, tuple[Waypoint, ...]]) -> JointPath:
+        return joint_path(scene, closed, start, paths, compile_system)
 
     return control_program(ControlContext(scene, closed, start, path))
 

@@ -214,8 +214,20 @@ def _layout(
         first_contact=_bounds([len(records[name]) for name in owners]),
         block_of=tuple(of_owners),
         floating_robots=tuple(i for i, arm in enumerate(robots.by_name.values()) if arm.floats),
+        passive_joints=_passive_joints(robots),
         noun="arms" if all(arm.noun == "arm" for arm in robots.by_name.values()) else "robots",
     )
+
+
+def _passive_joints(robots: Robots) -> tuple[int, ...]:
+    """Numbers among all joints of those without a drive."""
+    numbers, first = [], 0
+    for name, robot in robots.by_name.items():
+        passive = robots.resolved[name].passive
+        names = enumerate(robot.velocity_names, start=first)
+        numbers += [number for number, joint in names if joint in passive]
+        first += robot.dof
+    return tuple(numbers)
 
 
 def _bilateral(

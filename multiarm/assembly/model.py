@@ -207,6 +207,7 @@ def _constants(
         circular=_circular(bodies.robots),
         first_joint=np.array(rows.layout.first_joint, dtype=np.int64),
         floating_bases=_floating_bases(rows.layout, backends),
+        undriven=rows.layout.undriven_joints,
         links=bodies.links(),
         connections=connections,
         object_masses=np.array([body.mass for body in scene.all_objects.values()]),

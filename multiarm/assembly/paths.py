@@ -1,14 +1,16 @@
-"""Joint paths: positions with which the arms carry the object along a path of poses.
+"""Joint paths: positions with which the arms carry objects along paths of poses.
 
 A segment of a path is a Chebyshev series of the joints' positions.  Its nodes are postures of the
-closed chains: from one to the next the object is displaced, and the arms follow with the object
-held.
+closed chains: from one to the next the objects are displaced, and the arms follow with the objects
+held.  Objects without a path follow as their joints want.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from bisect import bisect_right
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,25 +26,19 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System
 from multiarm.errors import ControlError
-from multiarm.geometry.frame_motion import FrameMotion
 from multiarm.integration.projection import project_positions
 from multiarm.scene import Scene, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, retract
-
-
-def _only_motion(state: State) -> FrameMotion:
-    """The motion of the only object."""
-    return next(iter(state.objects.values()))
 
 
 def joint_path(
     scene: Scene,
     data: Data,
     start: State,
-    path: Sequence[Waypoint],
+    paths: Mapping[str, Sequence[Waypoint]],
     compile_scene: Callable[[Scene], System],
 ) -> JointPath:
-    """Joint positions with which the object passes the waypoints of a path.
+    """Joint positions with which objects pass the waypoints of their paths.
 
     Parameters
     ----------
@@ -56,29 +52,68 @@ def joint_path(
     ControlError
         When the arms cannot follow, or do not move smoothly.
     """
-    times, poses = route(pose_of(_only_motion(start)).matrix(), path)
+    routes = {}
+    for name, path in paths.items():
+        pose = pose_of(start.objects[name])
+        at_rest = Waypoint(time=1.0, **pose.model_dump())
+        routes[name] = route(pose.matrix(), path or (at_rest,))
     if any(joint.kind != "weld" for joint in scene.joints):
         rigid = compile_scene(_rigidly_held(scene, data, start))
         with rigid.borrow() as rigid_data:
-            return _joint_path(rigid_data, rigid.initial_state(), times, poses)
-    return _joint_path(data, start, times, poses)
+            return _joint_path(rigid_data, rigid.initial_state(), routes)
+    return _joint_path(data, start, routes)
 
 
-def _joint_path(data: Data, state: State, times: list[float], poses: list[np.ndarray]) -> JointPath:
-    constants = data.model.constants
-    heavy = data.view(  # an object that the projection does not move
+# Projections after which objects that are led are where they are to be: each moves them by 1e-8 of
+# what closes the gaps.
+ROUNDS = 5
+
+
+class Leg(NamedTuple):
+    """The part of an object's path over a segment: part of the way between two poses (4, 4)."""
+
+    begin: np.ndarray
+    end: np.ndarray
+    first: float  # of the time from one pose to the other, in which the segment begins
+    last: float
+
+    def part(self, x: np.ndarray) -> np.ndarray:
+        """Parts of the way, of those of the segment's time."""
+        return np.array([quintic(s)[0] for s in self.first + x * (self.last - self.first)])
+
+
+Route = tuple[list[float], list[np.ndarray]]
+
+
+def _joint_path(data: Data, state: State, routes: Mapping[str, Route]) -> JointPath:
+    constants, objects = data.model.constants, data.model.layout.objects
+    weights = np.array([1e8 if name in routes else 1.0 for name in objects])
+    heavy = data.view(  # objects that the projection does not move
         data.model.with_constants(
-            object_masses=1e8 * constants.object_masses,
-            object_inertias=1e8 * constants.object_inertias,
+            object_masses=weights * constants.object_masses,
+            object_inertias=weights[:, None, None] * constants.object_inertias,
         )
     )
     segments = []
-    for k in range(len(times) - 1):
-        series, state = _segment(data, heavy, state, poses[k], poses[k + 1], k + 1)
+    times = sorted({time for route_times, _ in routes.values() for time in route_times})
+    for k, (begin, end) in enumerate(pairwise(times), start=1):
+        legs = {name: _leg(*of_object, begin, end) for name, of_object in routes.items()}
+        series, state = _segment(data, heavy, state, legs, k)
         segments.append(series)
     width = max(series.shape[1] for series in segments)
     padded = [np.pad(series, ((0, 0), (0, width - series.shape[1]))) for series in segments]
     return JointPath(np.array(times), np.array(padded))
+
+
+def _leg(times: list[float], poses: list[np.ndarray], begin: float, end: float) -> Leg:
+    """The part of an object's path between two times, at none of which it ends or begins inside."""
+    if begin >= times[-1]:
+        return Leg(poses[-1], poses[-1], 0.0, 1.0)
+    if end <= times[0]:
+        return Leg(poses[0], poses[0], 0.0, 1.0)
+    s = bisect_right(times, begin) - 1
+    length = times[s + 1] - times[s]
+    return Leg(poses[s], poses[s + 1], (begin - times[s]) / length, (end - times[s]) / length)
 
 
 def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
@@ -94,7 +129,8 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
         if joint.connection not in rigid:
             joints.append(joint)
         elif joint.between is None:
-            joints.append({"arm": joint.arm, "kind": "weld"})
+            named = {} if joint.object is None else {"object": joint.object}
+            joints.append({"arm": joint.arm, **named, "kind": "weld"})
         else:
             bodies = {"between": joint.between, "name": joint.name}
             joints.append({**bodies, "kind": "weld"})
@@ -105,9 +141,10 @@ def _rigidly_held(scene: Scene, data: Data, start: State) -> Scene:
         }
         for specs in (scene.arms, scene.robots)
     )
-    scene.one_object("a path of the object")
-    (place,) = map(scene.place_of_object, scene.all_objects)
-    at_rest = {f"{place}.pose": pose_of(_only_motion(start)), f"{place}.twist": None}
+    at_rest: dict[str, Any] = {}
+    for name, motion in start.objects.items():
+        place = scene.place_of_object(name)
+        at_rest |= {f"{place}.pose": pose_of(motion), f"{place}.twist": None}
     parts = {"joints": joints, "arms": arms, "robots": robots}
     return scene.replace(at_rest, **parts, control={"kind": "none"}, effects={})
 
@@ -138,17 +175,16 @@ def _rigid_connections(data: Data, start: State) -> set[str]:
 
 
 def _segment(
-    data: Data, heavy: Data, start: State, begin: np.ndarray, end: np.ndarray, number: int
+    data: Data, heavy: Data, start: State, legs: Mapping[str, Leg], number: int
 ) -> tuple[np.ndarray, State]:
     """Chebyshev series (n, width) of the joints from one waypoint to the next, and the end state.
 
-    The object follows the quintic law of time that begins and ends at rest.  The nodes include both
+    The objects follow the quintic law of time that begins and ends at rest.  The nodes include both
     ends, so that segments join without a jump.
     """
     for intervals in (16, 32, 64, 128):  # until the series has converged
         x = -np.cos(np.pi * np.arange(intervals + 1) / intervals)
-        law = np.array([quintic(s)[0] for s in 0.5 * (1.0 + x)])
-        angles, state = follow_object(data, heavy, start, begin, end, law, number)
+        angles, state = follow_objects(data, heavy, start, legs, 0.5 * (1.0 + x), number)
         series = np.polynomial.chebyshev.chebfit(x, angles, intervals).T
         if np.max(np.abs(series[:, -4:])) < 1e-8:  # [rad, m]
             return series, state
@@ -160,29 +196,28 @@ def _segment(
     )
 
 
-def follow_object(
+def follow_objects(
     data: Data,
     heavy: Data,
     start: State,
-    begin: np.ndarray,
-    end: np.ndarray,
-    law: np.ndarray,
+    legs: Mapping[str, Leg],
+    times: np.ndarray,
     segment: int,
 ) -> tuple[np.ndarray, State]:
-    """Joint positions that close the chains while the object moves from one pose to another.
+    """Joint positions that close the chains while objects move from one pose to another.
 
     The limits of the joints are not enforced, as in a run.
 
     Parameters
     ----------
     heavy : Data
-        A view of the data with an object that the projection does not move.
+        A view of the data with objects that the projection does not move.
     start : State
-        A closed state near the first pose.
-    begin, end : ndarray, shape (4, 4)
-        Object poses; positions are interpolated along a line, orientations about a fixed axis.
-    law : ndarray, shape (K,)
-        Fractions of the way, increasing from 0 to 1.
+        A closed state near the first poses.
+    legs : mapping object -> Leg
+        Positions are interpolated along a line, orientations about a fixed axis.
+    times : ndarray, shape (K,)
+        Parts of the segment's time, increasing from 0 to 1.
     segment : int
         For messages.
 
@@ -190,38 +225,50 @@ def follow_object(
     -------
     angles : ndarray, shape (K, n)
     state : State
-        Closed, with the object at the end pose.
+        Closed, with the objects at their end poses.
     """
     tolerance = projection_tolerance(data)
-    base = matrix_to_quaternion(begin[:3, :3])
-    turn = difference(base, matrix_to_quaternion(end[:3, :3]))
     state, angles = start.copy(), []
     state.velocity[:] = 0.0
-    place, quaternion = state.object_position, state.object_quaternion_xyzw
-    before = 0.0
-    for fraction in law:
+    moving = []
+    for name, (begin, end, *_) in legs.items():
+        base = matrix_to_quaternion(begin[:3, :3])
+        turn = difference(base, matrix_to_quaternion(end[:3, :3]))
+        moving.append((state.objects[name], begin[:3, 3], end[:3, 3] - begin[:3, 3], base, turn))
+    fractions = np.array([leg.part(times) for leg in legs.values()]).T
+    before = np.array([leg.part(np.zeros(1))[0] for leg in legs.values()])
+    for at_node in fractions:
         # an arm's free motions depend little on the number of these smaller steps
-        for part in np.linspace(before, fraction, 4)[1:]:
-            place[:] = begin[:3, 3] + part * (end[:3, 3] - begin[:3, 3])
-            quaternion[:] = retract(base, part * turn)
-            if not _arms_close(data, heavy, state, tolerance):
-                raise _cannot_follow(data, segment, part)
+        for parts in np.linspace(before, at_node, 4)[1:]:
+            for (motion, origin, shift, base, turn), part in zip(moving, parts, strict=True):
+                motion.position[:] = origin + part * shift
+                motion.quaternion_xyzw[:] = retract(base, part * turn)
+            if not _arms_close(data, heavy, state, tolerance, list(legs)):
+                raise _cannot_follow(data, segment, float(np.max(parts)))
             state.position[:] = data.arrays.state.configuration
-        before = fraction
+        before = at_node
         angles.append(data.model.layout.joint_positions(state.position).copy())
     return np.array(angles), state
 
 
-def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool:
-    """Close the gaps from ``state`` with the object held; the result is in the data.
+def _arms_close(
+    data: Data, heavy: Data, state: State, tolerance: float, led: Sequence[str]
+) -> bool:
+    """Close the gaps from ``state`` with the objects held that are ``led``; it is in the data.
 
-    ``heavy`` has an object that does not move.  The compiled projection is fast; where it fails,
-    near singular postures, the gaps are closed in small steps.
+    ``heavy`` has these objects with so much mass that they do not move.  The compiled projection is
+    fast; where it fails, near singular postures, the gaps are closed in small steps.
     """
-    data.move_to(state)
-    data.arrays.last_step.points[:] = data.model.pair_places
-    if project_positions(heavy.struct, tolerance, True, 0.3, 60) == OK:
-        return True
+    follows = len(led) < len(state.objects)
+    for _ in range(ROUNDS if follows else 1):
+        data.move_to(state)
+        data.arrays.last_step.points[:] = data.model.pair_places
+        if project_positions(heavy.struct, tolerance, not follows, 0.3, 60) != OK:
+            break
+        if not follows or _led_back(data, state, led) <= tolerance:
+            return True
+    if follows:
+        return False
     data.reraise()
     data.set_state(0.0, state)
     free = np.full((data.model.layout.rate_count, 2), [-np.inf, np.inf])
@@ -230,6 +277,20 @@ def _arms_close(data: Data, heavy: Data, state: State, tolerance: float) -> bool
         if not close_gaps(Linkage(data, [i], False, free), tolerance).closed:
             return False
     return True
+
+
+def _led_back(data: Data, state: State, led: Sequence[str]) -> float:
+    """Take the configuration of the data over into a state, but for the objects that are led.
+
+    Returns how far these had moved [m, rad].
+    """
+    layout, closed = data.model.layout, state.copy()
+    closed.position[:] = data.arrays.state.configuration
+    moved = layout.twists(state.displacement_to(closed))
+    for name in led:
+        closed.objects[name].pose[:] = state.objects[name].pose
+    state.position[:] = closed.position
+    return float(max(np.max(np.abs(moved[layout.objects.index(name)])) for name in led))
 
 
 def _cannot_follow(data: Data, segment: int, part: float) -> ControlError:

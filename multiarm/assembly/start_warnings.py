@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.postures import overlapping_links, posture_of
-from multiarm.control.gravity_compensation import uncarried_bases, uncarried_weight
+from multiarm.control.gravity_compensation import (
+    uncarried_bases,
+    uncarried_joints,
+    uncarried_weight,
+)
 from multiarm.dynamics.failures import joint_of
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
@@ -59,6 +65,7 @@ def _weight_not_carried(system: System) -> list[str]:
         start, size = system.initial_state(), scene_size(closed)
         left = uncarried_weight(closed, start)
         hanging = uncarried_bases(closed, start)
+        idle = uncarried_joints(closed, start)
     return [
         *_objects_not_carried(system, left, size),
         *(
@@ -70,7 +77,27 @@ def _weight_not_carried(system: System) -> list[str]:
             if np.linalg.norm([*wrench[:3], *wrench[3:] / size])
             > UNCARRIED * np.linalg.norm(scene.gravity) * _mass_of(system.arms[name])
         ),
+        *_passive_joints_not_carried(system, idle, size),
     ]
+
+
+def _passive_joints_not_carried(
+    system: System, left: Mapping[int, float], size: float
+) -> list[str]:
+    """Warnings of passive joints whose gravity torque is ``left`` to nobody."""
+    warnings, layout = [], system.model.layout
+    gravity = float(np.linalg.norm(system.model.constants.gravity))
+    for joint, torque in left.items():
+        name = layout.names[layout.robot_of_joint(joint)]
+        lever = 1.0 if system.model.joint_units[joint] == "m" else size
+        if abs(torque) > UNCARRIED * gravity * _mass_of(system.arms[name]) * lever:
+            unit = "N" if system.model.joint_units[joint] == "m" else "N m"
+            warnings.append(
+                f"{place(('control',))}: no contact carries {number(torque, unit)} of the weight "
+                f"on the passive joint '{system.model.joint_names[joint]}', and it gives way "
+                "there; give it a drive, or start where it hangs"
+            )
+    return warnings
 
 
 def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[str]:

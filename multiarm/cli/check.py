@@ -122,7 +122,7 @@ def _arm(arm: ArmFacts) -> dict[str, RenderableType]:
         "computed by": _terms(arm),
         "posture": _posture(arm),
     }
-    return rows | _locked(arm)
+    return rows | _not_driven(arm)
 
 
 def _robot(robot: RobotFacts) -> dict[str, RenderableType]:
@@ -146,7 +146,7 @@ def _robot(robot: RobotFacts) -> dict[str, RenderableType]:
         **({"couplings": couplings} if couplings else {}),
         "computed by": _terms(robot),
         "posture": _posture(robot),
-        **_locked(robot),
+        **_not_driven(robot),
     }
 
 
@@ -163,9 +163,10 @@ def _positions(robot: ArmFacts | RobotFacts) -> str:
     return f"{len(texts)}: {', '.join(texts)}"
 
 
-def _locked(robot: ArmFacts | RobotFacts) -> dict[str, RenderableType]:
+def _not_driven(robot: ArmFacts | RobotFacts) -> dict[str, RenderableType]:
     locked = ", ".join(f"{joint} {value:g}" for joint, value in robot.locked.items())
-    return {"locked": locked} if locked else {}
+    rows = {"locked": locked, "passive": ", ".join(robot.passive)}
+    return {name: text for name, text in rows.items() if text}
 
 
 def _terms(arm: ArmFacts | RobotFacts) -> Text:

@@ -19,9 +19,10 @@ inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their
 object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
 and the arms rest.
 
-*Floating bases* have no drives either: with the rows :math:`g_b, W_b` of their wrenches, the
-forces of least norm satisfy :math:`W_b\lambda = g_b` besides, so that joints with the world, and
-the object where others hold it, carry these robots.  The derivatives are differences then.
+*Floating bases and passive joints* have no drives either: with the rows :math:`g_b, W_b` of their
+wrenches and torques, the forces of least norm satisfy :math:`W_b\lambda = g_b` besides, so that
+joints with the world, and the object where others hold it, carry these robots.  The derivatives are
+differences then.
 
 The twist y has the multipliers of the law (:mod:`multiarm.dynamics.control_laws`): at fixed y an
 arm's torques :math:`g_i - W_i W_{oi}^T y` depend on its own state and the object's, and so does
@@ -84,8 +85,8 @@ def gravity_compensation(address, size, _at, _t):
     torque, weight = data.control.torque, data.control.object_wrench
     clear(weight)
     add_weights(model, weight)
-    if data.state.floating_bases.size > 0:
-        carry_with_bases(model, data, work)
+    if model.undriven.size > 0:
+        carry_undriven(model, data, work, data.control.gravity_torque)
     else:
         static_forces(data.rows.W_o, weight, data.rows.static_force)
     for j in range(torque.size):
@@ -103,22 +104,32 @@ def add_weights(model, wrench):
 
 
 @allocating
-def carry_with_bases(model, data, work):
-    """Write the contact forces that carry the objects and the floating bases."""
-    weight, bases = data.control.object_wrench, data.state.floating_bases
-    node, W_o = weight.size, data.rows.W_o
-    directions = np.zeros((W_o.shape[0], node + BASE_DOF * bases.size))
+def carry_undriven(model, data, work, torque):
+    """Write the contact forces that put wrenches on the objects, and take joints without drives.
+
+    These exert ``torque`` (n,) on the joints without drives in place of a drive.  They are the
+    forces of least norm, in ``data.rows.static_force``.
+    """
+    wrench, W_o, undriven = data.control.object_wrench, data.rows.W_o, model.undriven
+    node, bases = wrench.size, BASE_DOF * data.state.floating_bases.size
+    # six directions a body; passive joints stand among moments, three a body
+    passive = undriven.size - bases
+    directions = np.zeros((W_o.shape[0], node + bases + 6 * ((passive + 2) // 3)))
     wrenches = np.zeros(directions.shape[1])
-    copy(weight, wrenches[:node])
+    copy(wrench, wrenches[:node])
     for k in range(W_o.shape[0]):
         copy(W_o[k], directions[k, :node])
-    for b in range(bases.size):
-        i, at = model.floating_bases.block[b], node + BASE_DOF * b
-        first, joint = work.first_contact[i], bases[b] - work.first_joint[i]
-        for l in range(BASE_DOF):
-            wrenches[at + l] = data.control.gravity_torque[bases[b] + l]
-            for k in range(first, work.first_contact[i + 1]):
-                directions[k, at + l] = work.W[i, joint + l, k - first]
+    for u in range(undriven.size):
+        at = node + u
+        if u >= bases:
+            at = node + bases + 6 * ((u - bases) // 3) + 3 + (u - bases) % 3
+        i = 0
+        while work.first_joint[i + 1] <= undriven[u]:
+            i += 1
+        j, first = undriven[u] - work.first_joint[i], work.first_contact[i]
+        wrenches[at] = torque[undriven[u]]
+        for k in range(first, work.first_contact[i + 1]):
+            directions[k, at] = work.W[i, j, k - first]
     static_forces(directions, wrenches, data.rows.static_force)
 
 
@@ -219,7 +230,7 @@ def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     """The law that carries the weight, where there is one and the control carries it."""
     if not needs_gravity_torque(context.scene):
         return ()
-    if context.start.layout.floating_robots:
+    if context.start.layout.undriven_joints.size:
         return (ControlLaw(gravity_compensation),)
     law = ControlLaw(
         gravity_compensation,
@@ -249,7 +260,7 @@ def gravity_compensation_program(
 def holding_torque(data: Data, start: State) -> np.ndarray:
     """Constant joint torques that hold the system at rest at its start, shape (n,).
 
-    Of floating bases what no contact carries.
+    Of floating bases and passive joints what no contact carries.
     """
     gravity, b = data.model.constants.gravity, data.arrays
     if not np.any(gravity):
@@ -284,3 +295,9 @@ def uncarried_bases(data: Data, start: State) -> dict[str, np.ndarray]:
     About the origins of their bases, world axes.
     """
     return start.layout.split_bases(holding_torque(data, start))
+
+
+def uncarried_joints(data: Data, start: State) -> dict[int, float]:
+    """What the contacts leave of the gravity torques of passive joints, by the joint's number."""
+    torque = holding_torque(data, start)
+    return {joint: float(torque[joint]) for joint in start.layout.passive_joints}

@@ -94,13 +94,14 @@ def path_point(t, bounds, coefficients, joint):
 def joint_pd_program(control: JointPDControl, context: ControlContext) -> ControlProgram:
     """The law of springs and dampers, and the one that carries the weight, where there is one."""
     path = JointPath(np.array([0.0, 1.0]), context.start_angles[None, :, None])
-    if control.path is not None:
-        path = context.joint_path(control.path)
+    paths = control.paths(context.start.layout.objects)
+    if paths:
+        path = context.joint_path(paths)
     stiffness, damping = context.stacked(control.stiffness), context.stacked(control.damping)
     numbers = JointPD(stiffness, damping, path.bounds, np.ascontiguousarray(path.coefficients))
     carrying = carrying_laws(context)
     return ControlProgram(
         (ControlLaw(joint_pd, numbers, differentiate_joint_pd), *carrying),
-        breakpoints=path.bounds if control.path else np.zeros(0),
+        breakpoints=path.bounds if paths else np.zeros(0),
         reach=reach_with(carrying),
     )

@@ -63,7 +63,7 @@ def _check_bases(control: ControlKind, context: ControlContext) -> None:
     """
     floating = [name for name, robot in context.arms.items() if robot.floats]
     of_object = isinstance(control, ComputedTorqueControl | ObjectImpedanceControl)
-    if floating and (of_object or control.object_waypoints):
+    if floating and (of_object or any(control.paths(context.start.layout.objects).values())):
         what = f"kind '{control.kind}'" if of_object else "'path'"
         raise ControlError(
             f"control: {what} is not computed with a base that floats, that of robot "

@@ -1,6 +1,6 @@
-r"""Control laws that move the object: inverse dynamics along a path, and an impedance.
+r"""Control laws that move objects: inverse dynamics along a path, and an impedance.
 
-Both command a wrench ``w`` on the object, distribute it over the contacts
+Both command a wrench ``w`` on each object, distribute it over the contacts
 (:mod:`multiarm.dynamics.forces.compiled`), and map the contact forces :math:`\lambda` to joint
 torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`).
 
@@ -15,7 +15,8 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
   the world and between its links, and of its couplings; only the first have forces.  Of all joint
   accelerations that the object's motion and these rows allow, the law takes the nearest to
   :math:`-\delta\dot q_i` in the metric of :math:`M_i`, which damps free motions (a hinge that
-  turns, an elbow that floats) at the rate :math:`\delta`.
+  turns, an elbow that floats) at the rate :math:`\delta`.  Objects that are not commanded follow
+  (:mod:`multiarm.control.followers`).
 
 * *Object impedance* holds the object by a spring and a damper, without changing the inertia of
   object and robots: :math:`w = K e + D(v_r - v_o) - m g`, of other objects :math:`w = -m g`,
@@ -28,18 +29,21 @@ torques.  The reference is a path of poses (:mod:`multiarm.control.object_path`)
 With a stiffness of the free motions the robots hold their poses on the object instead
 (:mod:`multiarm.control.null_space`).
 
-The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).
+The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).  With passive joints
+contact forces of least norm also satisfy :math:`(\tau_i)_p = 0`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
 
 from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
-from multiarm.control.gravity_compensation import add_weights
+from multiarm.control.followers import write_followers
+from multiarm.control.gravity_compensation import add_weights, carry_undriven
 from multiarm.control.null_space import hold_poses, nearest_accelerations
 from multiarm.control.object_derivatives import (
     differentiate_command,
@@ -47,12 +51,22 @@ from multiarm.control.object_derivatives import (
     write_object_impedance_derivatives,
 )
 from multiarm.control.object_law import ObjectCommand, ObjectLaw, open_command, open_object_law
-from multiarm.control.object_path import pose_of, pose_path, reference_pose, route
+from multiarm.control.object_path import (
+    PosePath,
+    PosePaths,
+    path_of,
+    pose_of,
+    pose_path,
+    reference_pose,
+    route,
+)
 from multiarm.control.program import ControlContext, ControlProgram
 from multiarm.control.squeeze import desired_forces
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_joint_forces
+from multiarm.dynamics.contact_geometry import force_directions
 from multiarm.dynamics.control_laws import ControlLaw
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
@@ -60,13 +74,15 @@ from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import cfunc, clear, kernel
+from multiarm.jit.kernels import Kernel, cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import sub, vec
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
 from multiarm.spatial import rotation_between, write_chart_rate
 
 ObjectControl = ComputedTorqueControl | ObjectImpedanceControl
+# Paths of objects that would open a joint by less are rounded poses [m].
+OPEN = 1e-3
 
 
 @cfunc
@@ -77,12 +93,17 @@ def computed_torque(address, size, at, t):
     law, command = open_object_law(struct, at), open_command(struct, at)
     state, control, wrench = data.state, data.control, data.control.object_wrench
     desired, target = command.acceleration, command.target
-    write_object_acceleration(t, law, state.poses[0], state.twists[0], desired)
+    for p in range(law.objects.size):
+        o = law.objects[p]
+        write_object_acceleration(
+            t, law, path_of(law, p), state.poses[o], state.twists[o], desired[6 * o : 6 * o + 6]
+        )
+    if law.objects.size < state.poses.shape[0]:
+        write_followers(law, model, data, work, desired)
     for a in range(wrench.size):
         wrench[a] = -data.forces.f_o[a]
         for b in range(desired.size):
             wrench[a] += data.bodies.object_inertia[a, b] * desired[b]
-    write_contact_forces(law, data)
     # the law carries the bias and what the joints do by themselves, which is all of f_j so far
     for j in range(control.torque.size):
         control.torque[j] -= data.forces.f_j[j]
@@ -91,6 +112,7 @@ def computed_torque(address, size, at, t):
         for a in range(desired.size):
             target[k] -= data.rows.W_o[k, a] * desired[a]
     add_motion_forces(law, command, True, model, data, work)
+    write_contact_forces(law, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
     return 0
 
@@ -102,22 +124,25 @@ def object_impedance(address, size, at, t):
     model, data, work = open_system(struct)
     law, command = open_object_law(struct, at), open_command(struct, at)
     state, control, wrench = data.state, data.control, data.control.object_wrench
-    o = law.object
     clear(wrench)
-    write_spring_wrench(t, law, state.poses[o], state.twists[o], wrench[6 * o : 6 * o + 6])
+    for p in range(law.objects.size):
+        o = law.objects[p]
+        write_spring_wrench(
+            t, law, path_of(law, p), state.poses[o], state.twists[o], wrench[6 * o : 6 * o + 6]
+        )
     add_weights(model, wrench)
-    write_contact_forces(law, data)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
     add_motion_forces(law, command, False, model, data, work)
+    write_contact_forces(law, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
     return 0
 
 
 @kernel
-def write_object_acceleration(t, law, position, velocity, desired):
-    """Write the object's acceleration that computed torque commands into ``desired`` (6,)."""
-    place, quaternion, shift, turn, rate, second = reference_pose(t, law)
+def write_object_acceleration(t, law, path, position, velocity, desired):
+    """Write an object's acceleration that computed torque commands into ``desired`` (6,)."""
+    place, quaternion, shift, turn, rate, second = reference_pose(t, path)
     ahead, turned = sub(place, vec(position, 0)), rotation_between(position[3:7], quaternion)
     for k in range(3):
         slower = rate * shift[k] - velocity[k]
@@ -129,9 +154,9 @@ def write_object_acceleration(t, law, position, velocity, desired):
 
 
 @kernel
-def write_spring_wrench(t, law, position, velocity, wrench):
-    """Write the wrench of the impedance's spring and damper on the object into ``wrench`` (6,)."""
-    place, quaternion, shift, turn, rate, _ = reference_pose(t, law)
+def write_spring_wrench(t, law, path, position, velocity, wrench):
+    """Write the wrench of the impedance's spring and damper on an object into ``wrench`` (6,)."""
+    place, quaternion, shift, turn, rate, _ = reference_pose(t, path)
     ahead, turned = sub(place, vec(position, 0)), rotation_between(position[3:7], quaternion)
     pull = (
         law.stiffness[3] * turned[0],
@@ -146,13 +171,18 @@ def write_spring_wrench(t, law, position, velocity, wrench):
 
 
 @kernel
-def write_contact_forces(law, data):
-    """Distribute the wrench on the object over the contacts; writes ``data.rows.static_force``."""
+def write_contact_forces(law, model, data, work):
+    """Distribute the wrenches on objects over the contacts; writes ``data.rows.static_force``.
+
+    After all other torques, which contact forces take over from passive joints.
+    """
     wrench, rows = data.control.object_wrench, data.rows
-    if law.squeezes:
+    if model.undriven.size > 0:
+        carry_undriven(model, data, work, data.control.torque)
+    elif law.squeezes:
         distribute_wrench(
-            wrench, rows.W_o, rows.first, data.bodies.objects[0], law.forces_of_contacts,
-            law.wrenches_of_connections, rows.static_force,
+            wrench, rows.W_o, rows.first, data.bodies.objects, law.pressed,
+            law.forces_of_contacts, law.wrenches_of_connections, rows.static_force,
         )  # fmt: skip
     else:
         static_forces(rows.W_o, wrench, rows.static_force)
@@ -165,7 +195,10 @@ def add_motion_forces(law, command, feedforward, model, data, work):
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
     complete_inertias(work)
-    command.targets.independent = True
+    # there are no derivatives in closed form of the accelerations of followers, nor of forces that
+    # take the place of drives
+    followed = feedforward and law.objects.size < data.state.poses.shape[0]
+    command.targets.independent = not (followed or model.undriven.size > 0)
     for j in range(data.state.joint_rates.size):
         command.preferred[j] = -law.free_rate * data.state.joint_rates[j]
     for i in range(work.first_joint.size - 1):
@@ -190,76 +223,142 @@ def computed_torque_program(
     control: ComputedTorqueControl, context: ControlContext
 ) -> ControlProgram:
     """The law of computed torque."""
-    law = ControlLaw(
-        computed_torque,
-        object_law(control, context),
-        differentiate_command,
-        ObjectCommand,
-        partial(prepare_command_derivatives, write_computed_torque_derivatives),
-    )
-    return ControlProgram((law,), _waypoint_times(control, law.numbers))
+    return _program(computed_torque, write_computed_torque_derivatives, control, context)
 
 
 def object_impedance_program(
     control: ObjectImpedanceControl, context: ControlContext
 ) -> ControlProgram:
     """The law of the object impedance."""
-    law = ControlLaw(
-        object_impedance,
-        object_law(control, context),
-        differentiate_command,
-        ObjectCommand,
-        partial(prepare_command_derivatives, write_object_impedance_derivatives),
-    )
-    return ControlProgram((law,), _waypoint_times(control, law.numbers))
+    return _program(object_impedance, write_object_impedance_derivatives, control, context)
 
 
-def _waypoint_times(control: ObjectControl, law: ObjectLaw) -> np.ndarray:
-    return law.times if control.path else np.zeros(0)
+def _program(
+    law: Kernel, derivatives: Kernel, control: ObjectControl, context: ControlContext
+) -> ControlProgram:
+    paths = _paths(control, context)
+    numbers = object_law(control, context, paths)
+    prepare = partial(prepare_command_derivatives, derivatives)
+    law_of_objects = ControlLaw(law, numbers, differentiate_command, ObjectCommand, prepare)
+    written = control.paths(context.start.layout.objects)
+    times = [path.times for name, path in paths.items() if written[name]]
+    return ControlProgram((law_of_objects,), np.unique(np.concatenate([np.zeros(0), *times])))
 
 
-def object_law(control: ObjectControl, context: ControlContext) -> ObjectLaw:
-    """Numbers of a law.
+def _paths(control: ObjectControl, context: ControlContext) -> dict[str, PosePath]:
+    """The paths of the objects that are moved; one that has none stays where it is."""
+    paths = {}
+    for name, waypoints in control.paths(context.start.layout.objects).items():
+        pose = pose_of(context.start.objects[name])
+        at_rest = Waypoint(time=1.0, **pose.model_dump())
+        paths[name] = pose_path(*route(pose.matrix(), waypoints or (at_rest,)))
+    return paths
+
+
+def object_law(
+    control: ObjectControl, context: ControlContext, paths: Mapping[str, PosePath]
+) -> ObjectLaw:
+    """Numbers of a law that moves objects along paths.
 
     Raises
     ------
     ControlError
-        When the contacts cannot put every wrench on the object, or cannot have the internal forces
-        of the scene.
+        When the contacts cannot put every wrench on these objects, or cannot have the internal
+        forces of the scene, or the paths would open a joint between objects.
     """
-    data, start = context.data, context.start
-    data.set_state(0.0, start)
+    data = context.data
+    data.set_state(0.0, context.start)
     require_ok(data, update_kinematics(data.struct))
-    W_o, objects = data.arrays.rows.W_o.copy(), data.model.layout.objects
-    name = getattr(control, "object", None) or objects[0]
-    moved = objects.index(name)
-    _require_hold(W_o, moved, control.kind)
-    desired = desired_forces(data, control, W_o)
-    pose = pose_of(start.objects[name])
-    at_rest = Waypoint(time=1.0, **pose.model_dump())
-    path = pose_path(*route(pose.matrix(), control.path or (at_rest,)))
+    _require_hold(data, list(paths), control.kind)
+    if data.model.layout.passive_joints:
+        _require_idle(data, control)
+    desired = desired_forces(data, control, list(paths))
+    if isinstance(control, ComputedTorqueControl):  # a spring may pull against a joint
+        _require_closed(context, paths)
     return ObjectLaw(
-        moved,
+        np.array([data.model.layout.objects.index(name) for name in paths]),
         control.stiffness.vector(),
         control.damping.vector(),
         control.relative_damping,
         control.relative_stiffness,
-        any(np.any(forces) for forces in desired),
+        any(np.any(forces) for forces in desired[:2]),
         *desired,
-        *path,
+        *PosePaths.of([*paths.values()]),
     )
 
 
-def _require_hold(W_o: np.ndarray, moved: int, kind: str) -> None:
-    """Refuse contacts that cannot put every wrench on the object that is ``moved``."""
+def _require_hold(data: Data, moved: Sequence[str], kind: str) -> None:
+    """Refuse contacts that cannot put every wrench on the objects that are ``moved``."""
+    W_o, objects = data.arrays.rows.W_o, data.model.layout.objects
     moments = W_o.reshape(len(W_o), -1, 6)[:, :, 3:]
     lever = max(float(np.max(np.linalg.norm(moments, axis=2), initial=0.0)), 1e-12)
-    scale = np.tile([1.0, 1.0, 1.0, lever, lever, lever], W_o.shape[1] // 6)
-    loose = null_space(W_o / scale).basis[6 * moved : 6 * moved + 6]
-    rank = 6 - int(np.linalg.matrix_rank(loose, 1e-6)) if loose.size else 6
-    if rank < 6:
+    scale = np.tile([1.0, 1.0, 1.0, lever, lever, lever], len(objects))
+    loose = null_space(W_o / scale).basis
+    for name in moved:
+        first = 6 * objects.index(name)
+        of_object = loose[first : first + 6]
+        rank = 6 - int(np.linalg.matrix_rank(of_object, 1e-6)) if of_object.size else 6
+        if rank < 6:
+            what = "the object" if len(objects) == 1 else f"the object '{name}'"
+            raise ControlError(
+                f"control: {kind} needs contacts that can put every force and moment on {what}, "
+                f"but all {len(W_o)} together span only {rank} of 6 directions: it can turn or "
+                f"slide in them freely; add an arm, or join one with fewer free motions"
+            )
+
+
+def _require_closed(context: ControlContext, paths: Mapping[str, PosePath]) -> None:
+    """Refuse paths of objects that would open a joint between these, or of one with the world."""
+    data, layout = context.data, context.start.layout
+    between = {
+        name: layout.contacts_of(layout.owners.index(name))
+        for name, pair in data.model.connections.items()
+        if not pair.robots and set(pair.objects) <= set(paths)
+    }
+    records = data.model.records
+    rows_of = {
+        name: [k for k in range(rows.start, rows.stop) if not records[k].pushes_only]
+        for name, rows in between.items()
+    }
+    state = context.start.copy()
+    times = np.unique(np.concatenate([path.times for path in paths.values()]))
+    for t in np.unique(np.linspace(times[:-1], times[1:], 5)) if rows_of else ():
+        for name, path in paths.items():
+            position, quaternion, *_ = reference_pose(t, path)
+            state.objects[name].position[:] = position
+            state.objects[name].quaternion_xyzw[:] = quaternion
+        data.set_state(t, state)
+        require_ok(data, update_kinematics(data.struct))
+        for name, rows in rows_of.items():
+            gap = float(np.max(np.abs(data.contact_rows.gap[rows]), initial=0.0))
+            if gap > OPEN:
+                bodies = data.model.connections[name].objects
+                raise ControlError(
+                    f"control: at {t:.3g} s the path of {' and '.join(map(repr, bodies))} would "
+                    f"open the joint '{name}' by {gap:.3g} m; write poses that this joint allows, "
+                    "or leave an object out, which then follows"
+                )
+
+
+def _require_idle(data: Data, control: ObjectControl) -> None:
+    """Refuse passive joints whose torque contact forces cannot take over, whatever it is."""
+    model, layout = data.model, data.model.layout
+    if control.squeeze or control.internal_forces:
+        key = "squeeze" if control.squeeze else "internal_forces"
         raise ControlError(
-            f"control: {kind} needs contacts that can put every force and moment on the object, "
-            f"but all {len(W_o)} together span only {rank} of 6 directions: the object can turn or "
-            f"slide in them freely; add an arm, or join one with fewer free motions"
+            f"control.{key}: the passive joint '{model.joint_names[layout.passive_joints[0]]}' "
+            "leaves no choice of internal forces; leave it out"
         )
+    joints = np.array(layout.passive_joints)
+    places = np.append(np.arange(layout.node), layout.node + joints)
+    directions = force_directions(data)[places].T
+    sizes = np.linalg.norm(directions, axis=0)
+    directions = directions / np.where(sizes > 0.0, sizes, 1.0)
+    loose = null_space(directions).basis[layout.node :]
+    for joint, row in zip(joints.tolist(), loose, strict=True):
+        if np.max(np.abs(row), initial=0.0) > 1e-6:
+            raise ControlError(
+                f"control: {control.kind} cannot do without a torque of the passive joint "
+                f"'{model.joint_names[joint]}': contact forces do not act on it, or the object's "
+                "motion needs all of them; give it a drive, or add an arm"
+            )

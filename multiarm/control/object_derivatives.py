@@ -28,7 +28,7 @@ from multiarm.control.command_derivatives import (
 )
 from multiarm.control.null_space_derivatives import differentiate_holds
 from multiarm.control.object_law import open_command, open_object_law
-from multiarm.control.object_path import reference_pose
+from multiarm.control.object_path import path_of, reference_pose
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.equation_derivatives import (
@@ -39,7 +39,6 @@ from multiarm.dynamics.equation_derivatives import (
     write_object,
 )
 from multiarm.dynamics.forces.compiled import CARRIED, pressing_wrench, write_multipliers
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.solver.factors import norm
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
@@ -65,7 +64,8 @@ def write_computed_torque_derivatives(address, size, at, t):
     motion = open_equations(derivatives.motion)
     if not begin(law, command, data, work, derivatives):
         return SINGULAR
-    differentiate_acceleration(t, law, data, derivatives.acceleration)
+    for p in range(law.objects.size):
+        differentiate_acceleration(t, law, p, data, derivatives.acceleration)
     inertia, acceleration = data.bodies.object_inertia, derivatives.acceleration
     for l in range(inertia.shape[0]):
         for k in range(acceleration.shape[0]):
@@ -74,11 +74,12 @@ def write_computed_torque_derivatives(address, size, at, t):
     copy(data.state.joint_rates, motion.v)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
-    write_object(0, data, data.state.twists[0], command.acceleration, motion)
+    twists, commanded = data.state.twists, command.acceleration
+    for o in range(twists.shape[0]):
+        write_object(o, data, twists[o], commanded[6 * o :], motion)
     status = differentiate_bodies(struct, derivatives.motion)
-    add_object_equation(
-        0, data.bodies.object_inertia, data.state.twists[0], command.acceleration, motion
-    )
+    for o in range(twists.shape[0]):
+        add_object_equation(o, inertia, twists[o], commanded[6 * o :], motion)
     if status == OK:
         status = differentiate_torques(law, command, True, struct, model, data, work, derivatives)
         subtract_passive_slopes(data)
@@ -95,7 +96,8 @@ def write_object_impedance_derivatives(address, size, at, t):
     motion = open_equations(derivatives.motion)
     if not begin(law, command, data, work, derivatives):
         return SINGULAR
-    differentiate_spring_wrench(t, law, data, derivatives.wrench)
+    for p in range(law.objects.size):
+        differentiate_spring_wrench(t, law, p, data, derivatives.wrench)
     copy(command.a_j, motion.a_j)
     copy(data.rows.static_force, motion.force)
     status = write_derivatives_at_rest(struct, derivatives.motion, motion.at_rest)
@@ -163,13 +165,21 @@ def subtract_wrench(row, force, wrench):
 @allocating
 def subtract_presses(law, data, wrench):
     """Subtract what the forces with which connections press put on the object."""
-    world, y = np.empty(6), np.empty(6)
+    world, y = np.zeros(wrench.size), np.empty(wrench.size)
     for c in range(law.wrenches_of_connections.shape[0]):
-        if pressing_wrench(data.bodies.objects[0], law.wrenches_of_connections[c], world):
+        if write_press(c, law, data, world):
             W_o = data.rows.W_o[data.rows.first[c] : data.rows.first[c + 1]]
             write_multipliers(W_o, world, y)
             for k in range(W_o.shape[0]):
                 subtract_wrench(W_o[k], force_of(W_o[k], y), wrench)
+
+
+@inlined
+def write_press(c, law, data, world):
+    """Write the wrenches (6 F,) with which connection ``c`` presses; returns whether it does."""
+    o, of_connection = law.pressed[c], law.wrenches_of_connections[c]
+    clear(world)
+    return pressing_wrench(data.bodies.objects[o], of_connection, world[6 * o : 6 * o + 6])
 
 
 @inlined
@@ -189,10 +199,11 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
     :math:`d\lambda = \partial(W_o^T y) + W_o^+ (dw - \partial(W_o\lambda)
     - W_o\,\partial(W_o^T y))`, where these carry the wrench; ``SINGULAR`` elsewhere.
     """
-    excess = open_equations(derivatives.excess)
-    world, y, left = np.empty(6), np.empty(6), np.empty(6)
-    if not pressing_wrench(data.bodies.objects[0], law.wrenches_of_connections[owner], world):
+    excess, node = open_equations(derivatives.excess), data.control.object_wrench.size
+    world, y, left = np.empty(node), np.empty(node), np.empty(node)
+    if not write_press(owner, law, data, world):
         return OK
+    at = 6 * law.pressed[owner]
     r0, r1, i = data.rows.first[owner], data.rows.first[owner + 1], model.connections.block[owner]
     W_o, d0 = data.rows.W_o[r0:r1], work.first_joint[i]
     write_multipliers(W_o, world, y)
@@ -203,19 +214,20 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
         excess.force[r0 + k] = force_of(W_o[k], y)
         subtract_wrench(W_o[k], excess.force[r0 + k], left)
     for l in range(left.size):
-        if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, 6)):
+        if not abs(left[l]) <= CARRIED * (abs(world[l]) + norm(world, node)):
             return SINGULAR
     status = write_derivatives_at_rest(struct, derivatives.excess, y)
-    of_block, columns = block_columns(TWIST, work.first_joint[i + 1] - d0, 0), force_columns(data)
+    of_block, columns = block_columns(node, work.first_joint[i + 1] - d0, 0), force_columns(data)
     for c in range(of_block.rates):
         if of_block.twists <= c < of_block.positions:
             continue
         column = column_of_state(columns, of_block, d0, c)
         for l in range(left.size):
             left[l] = excess.dF_o[l, column]
-        if 3 <= c < of_block.twists:
-            put(left, 0, add_cross(vec(left, 0), AXES[c - 3], vec(world, 0)))
-            put(left, 3, add_cross(vec(left, 3), AXES[c - 3], vec(world, 3)))
+        if at + 3 <= c < at + 6:
+            axis = AXES[c - at - 3]
+            put(left, at, add_cross(vec(left, at), axis, vec(world, at)))
+            put(left, at + 3, add_cross(vec(left, at + 3), axis, vec(world, at + 3)))
         for k in range(r1 - r0):
             subtract_wrench(W_o[k], excess.rates[r0 + k, c], left)
         write_multipliers(W_o, left, y)
@@ -225,26 +237,27 @@ def differentiate_press(owner, law, struct, model, data, work, derivatives):
 
 
 @allocating
-def differentiate_acceleration(t, law, data, acceleration):
-    """Write the derivatives of the object's acceleration by its pose and twist (6, 12)."""
-    twists = force_columns(data).twists
-    _, quaternion, _, _, _, _ = reference_pose(t, law)
-    turned, by_turn = rotation_between(data.state.poses[0][3:7], quaternion), np.empty((3, 3))
-    differentiate_turn(turned, by_turn)
+def differentiate_acceleration(t, law, p, data, acceleration):
+    """Write the derivatives of a commanded acceleration by the object's pose and twist."""
+    twists, first = force_columns(data).twists, 6 * law.objects[p]
+    _, quaternion, _, _, _, _ = reference_pose(t, path_of(law, p))
+    quaternion_now, by_turn = data.state.poses[law.objects[p]][3:7], np.empty((3, 3))
+    differentiate_turn(rotation_between(quaternion_now, quaternion), by_turn)
     for k in range(3):
-        acceleration[k, k] = -law.stiffness[k]
-        acceleration[k, twists + k] = -law.damping[k]
+        row, turn = first + k, first + 3 + k
+        acceleration[row, row] = -law.stiffness[k]
+        acceleration[row, twists + row] = -law.damping[k]
         for axis in range(3):
-            acceleration[3 + k, 3 + axis] = law.stiffness[3 + k] * by_turn[axis, k]
-        acceleration[3 + k, twists + 3 + k] = -law.damping[3 + k]
+            acceleration[turn, first + 3 + axis] = law.stiffness[3 + k] * by_turn[axis, k]
+        acceleration[turn, twists + turn] = -law.damping[3 + k]
 
 
 @allocating
-def differentiate_spring_wrench(t, law, data, wrench):
+def differentiate_spring_wrench(t, law, p, data, wrench):
     """Write the derivatives of the wrench of the impedance's spring and damper into ``wrench``."""
-    twists = force_columns(data).twists
-    _, quaternion, _, _, _, _ = reference_pose(t, law)
-    first, quaternion_now = 6 * law.object, data.state.poses[law.object][3:7]
+    twists, first = force_columns(data).twists, 6 * law.objects[p]
+    _, quaternion, _, _, _, _ = reference_pose(t, path_of(law, p))
+    quaternion_now = data.state.poses[law.objects[p]][3:7]
     turned, by_turn = rotation_between(quaternion_now, quaternion), np.empty((3, 3))
     differentiate_turn(turned, by_turn)
     pull, change, of_change, slopes = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))

@@ -1,4 +1,4 @@
-"""Numbers of the laws that move the object, and what they command."""
+"""Numbers of the laws that move objects, and what they command."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from multiarm.control.command_derivatives import PreparedDerivatives
 from multiarm.dynamics.control_laws import view_of_law, view_of_work
 from multiarm.dynamics.data import Data
-from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Numbers
+from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Floats3, Ints1, Numbers
 
 
 class ObjectLaw(NamedTuple):
-    """Gains of a law that moves the object, its internal forces and its path.
+    """Gains of a law that moves P of the objects, their internal forces and paths.
 
     Stiffness and damping of computed torque are in 1/s^2 and 1/s, those of the impedance in N/m,
     N m/rad and N s/m, N m s/rad.
     """
 
-    object: Int  # the one that is moved
+    objects: Ints1  # (P,) those that are moved
     stiffness: Floats1  # (6,) for shifts and turns, world axes
     damping: Floats1  # (6,)
     free_rate: Float  # of the arms' free motions [1/s]
@@ -27,19 +27,21 @@ class ObjectLaw(NamedTuple):
     squeezes: Flag  # whether there are internal forces
     # see multiarm.control.squeeze
     forces_of_contacts: Floats1  # (N,) [N]
-    wrenches_of_connections: Floats2  # (C, 6) object axes [N, N m]
-    # see multiarm.control.object_path.PosePath
-    times: Floats1
-    positions: Floats2
-    shifts: Floats2
-    quaternions: Floats2
-    turns: Floats2
+    wrenches_of_connections: Floats2  # (C, 6) axes of the object that is pressed [N, N m]
+    pressed: Ints1  # (C,) this object
+    # see multiarm.control.object_path.PosePaths
+    times: Floats2
+    positions: Floats3
+    shifts: Floats3
+    quaternions: Floats3
+    turns: Floats3
 
 
 class JointTargets(Numbers):
-    """What holds of the accelerations that are commanded to the joints."""
+    """What holds of the accelerations that are commanded."""
 
-    independent: Flag  # the targets of no robot depend on each other, and have derivatives
+    # the targets of no robot depend on each other, and all accelerations have derivatives
+    independent: Flag
 
 
 class ObjectCommand(NamedTuple):

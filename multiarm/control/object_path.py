@@ -20,8 +20,8 @@ import numpy as np
 
 from multiarm.dynamics.piecewise import segment_at
 from multiarm.geometry.frame_motion import FrameMotion
-from multiarm.jit.kernels import kernel, plain
-from multiarm.jit.structs import Floats1, Floats2
+from multiarm.jit.kernels import inlined, kernel, plain
+from multiarm.jit.structs import Floats1, Floats2, Floats3
 from multiarm.jit.vectors import add_scaled, scale, vec
 from multiarm.scene import Pose, Waypoint
 from multiarm.spatial import difference, matrix_to_quaternion, retracted
@@ -47,6 +47,39 @@ def pose_path(times: Sequence[float], poses: Sequence[np.ndarray]) -> PosePath:
     )
 
 
+class PosePaths(NamedTuple):
+    """Paths of P objects, each filled up with segments of rest at its end."""
+
+    times: Floats2  # (P, S + 1)
+    positions: Floats3  # (P, S, 3)
+    shifts: Floats3
+    quaternions: Floats3  # (P, S, 4)
+    turns: Floats3
+
+    @classmethod
+    def of(cls, paths: Sequence[PosePath]) -> PosePaths:
+        """The table of some paths."""
+        segments = max((len(path.shifts) for path in paths), default=1)
+        longer = [_resting_on(path, segments) for path in paths]
+        return cls(*(np.array(parts) for parts in zip(*longer, strict=True)))
+
+
+def _resting_on(path: PosePath, segments: int) -> PosePath:
+    """The path with segments of a second each in which the object rests, after its end."""
+    more = segments - len(path.shifts)
+    times = np.append(path.times, path.times[-1] + 1.0 + np.arange(more))
+    end = path.positions[-1] + path.shifts[-1]
+    at_rest = retracted(path.quaternions[-1], path.turns[-1])
+    none = np.zeros((more, 3))
+    return PosePath(
+        times,
+        np.vstack([path.positions, np.tile(end, (more, 1))]),
+        np.vstack([path.shifts, none]),
+        np.vstack([path.quaternions, np.tile(at_rest, (more, 1))]),
+        np.vstack([path.turns, none]),
+    )
+
+
 def pose_of(motion: FrameMotion) -> Pose:
     """Pose of an object in a state."""
     return Pose(xyz=motion.position.tolist(), quaternion_xyzw=motion.quaternion_xyzw.tolist())
@@ -67,6 +100,14 @@ def quintic(x):
     """Part of the way from rest to rest in the part ``x`` of the time, and its derivatives by x."""
     part = x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
     return part, 30.0 * (x * (1.0 - x)) ** 2, 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
+
+
+@inlined
+def path_of(paths, p):
+    """One path of a table with the fields of :class:`PosePaths`."""
+    return PosePath(
+        paths.times[p], paths.positions[p], paths.shifts[p], paths.quaternions[p], paths.turns[p]
+    )
 
 
 @kernel

@@ -37,7 +37,7 @@ class ControlContext:
         Of the model without control; its state may be changed.
     start : State
     joint_path : callable
-        ``joint_path(waypoints)``: joint positions with which the object passes them.
+        ``joint_path(paths)``: joint positions with which objects pass their waypoints.
     """
 
     scene: Scene

@@ -3,7 +3,8 @@ r"""Internal forces that laws of the object ask for: of contacts, and wrenches o
 A squeeze consists of internal forces.  Where all contacts are fingertips, which can only push, it
 is a combination of pushing forces (thesis, 3.7.3) with the mean that the scene names.  Bilateral
 joints hold both ways; there every connection of the object presses towards the middle of all
-grips.
+grips.  Of several objects, those that the law moves are squeezed, each between its hands and the
+world: what connects it to other objects takes no part.
 """
 
 from __future__ import annotations
@@ -32,16 +33,15 @@ class DesiredForces(NamedTuple):
     """What the contacts are to do beyond the motion; only its internal part remains."""
 
     of_contacts: np.ndarray  # (N,) [N]
-    # (C, 6) wrenches of the connections on the object, about its centre of mass, its axes
+    # (C, 6) wrenches of the connections on their object, about its centre of mass, its axes
     of_connections: np.ndarray
+    pressed: np.ndarray  # int (C,) this object
 
 
 def desired_forces(
-    data: Data, control: ComputedTorqueControl | ObjectImpedanceControl, W_o: np.ndarray
+    data: Data, control: ComputedTorqueControl | ObjectImpedanceControl, moved: Sequence[str]
 ) -> DesiredForces:
-    """The desired forces of a scene, at the start in the data.
-
-    ``W_o`` (N, 6) are the contacts' rows there.
+    """The desired forces of a scene, at the start in the data; ``moved`` objects are squeezed.
 
     Raises
     ------
@@ -50,23 +50,28 @@ def desired_forces(
     """
     model, of_contacts = data.model, _named_forces(data.model, control.internal_forces or {})
     of_connections = np.zeros((len(model.layout.owners), 6))
+    pressed = np.zeros(len(model.layout.owners), dtype=np.int64)
     if not (control.squeeze or control.internal_forces):
-        return DesiredForces(of_contacts, of_connections)
+        return DesiredForces(of_contacts, of_connections, pressed)
+    W_o = data.arrays.rows.W_o
     moving = np.linalg.norm(decompose(W_o.T, of_contacts).moving)
     if np.any(of_contacts) and moving > (1.0 - 1e-6) * np.linalg.norm(of_contacts):
         raise ControlError(
             "control.internal_forces: these forces only move the object, nothing of them is "
             "internal; name contacts that press against each other, or use `squeeze`"
         )
-    if control.squeeze:
-        rows = list(model.contacts_of_object)
+    for name in moved if control.squeeze else ():
+        rows, at = _contacts_of(model, name), 6 * model.layout.objects.index(name)
+        on_object = W_o[:, at : at + 6]
         if all(model.records[row].pushes_only for row in rows):
             labels = [": ".join((owner, record.name)) for owner, record in map(model.owner, rows)]
-            of_contacts[rows] += control.squeeze * _pushing(W_o[rows], labels)
+            of_contacts[rows] += control.squeeze * _pushing(on_object[rows], labels)
         else:
-            of_connections += control.squeeze * _towards_the_middle(model)
-            _require_pressing(data, W_o, of_connections)
-    return DesiredForces(of_contacts, of_connections)
+            holding = [model.layout.owners.index(holder) for holder in _holding(model, name)]
+            pressed[holding] = model.layout.objects.index(name)
+            of_connections[holding] = control.squeeze * _towards_the_middle(model, name)
+            _require_pressing(data, name, on_object, of_connections)
+    return DesiredForces(of_contacts, of_connections, pressed)
 
 
 def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) -> np.ndarray:
@@ -85,15 +90,25 @@ def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) ->
     return of_rows
 
 
-def _holding(model: Model) -> list[str]:
-    """The connections of the object."""
-    return [name for name, connection in model.connections.items() if connection.of_object]
+def _holding(model: Model, object: str) -> list[str]:
+    """The connections of an object with robots and with the world."""
+    return [name for name, pair in model.connections.items() if pair.objects == (object,)]
 
 
-def _require_pressing(data: Data, W_o: np.ndarray, of_connections: np.ndarray) -> None:
-    """Raise an error for a squeeze along a joint's free motion."""
-    model, R = data.model, fields_of(BodyMotion, data.arrays.bodies.objects[0]).rotation
-    for name in _holding(model):
+def _contacts_of(model: Model, object: str) -> list[int]:
+    """Rows of the contacts of these connections."""
+    rows: list[int] = []
+    for name in _holding(model, object):
+        of_owner = model.layout.contacts_of(model.layout.owners.index(name))
+        rows += range(of_owner.start, of_owner.stop)
+    return [row for row in rows if isinstance(model.records[row], Contact)]
+
+
+def _require_pressing(data: Data, object: str, W_o: np.ndarray, of_connections: np.ndarray) -> None:
+    """Raise an error for a squeeze of an object along a joint's free motion; ``W_o`` (N, 6)."""
+    model, o = data.model, data.model.layout.objects.index(object)
+    R = fields_of(BodyMotion, data.arrays.bodies.objects[o]).rotation
+    for name in _holding(model, object):
         c = model.layout.owners.index(name)
         rows, wrench = W_o[model.layout.contacts_of(c)], of_connections[c]
         desired = np.concatenate([R @ wrench[:3], R @ wrench[3:]])
@@ -119,17 +134,16 @@ def _pushing(W_o: np.ndarray, names: list[str]) -> np.ndarray:
         raise ControlError(f"control.squeeze: {error}") from None
 
 
-def _towards_the_middle(model: Model) -> np.ndarray:
-    """Wrenches (C, 6) of the connections on the object, object axes, that are in balance.
+def _towards_the_middle(model: Model, object: str) -> np.ndarray:
+    """Wrenches (C, 6) of the connections that hold an object, object axes, that are in balance.
 
-    Each of those of the object is a force of 1 N (in their mean) at the origin of the joint's frame
-    there, towards the middle of all of them as nearly as the balance of forces and moments allows.
+    Each is a force of 1 N (in their mean) at the origin of the joint's frame on the object, towards
+    the middle of all of them as nearly as the balance of forces and moments allows.
     """
-    holding = _holding(model)
-    grips = np.array([_grip(model, name) for name in holding])
-    inward = np.mean(grips, axis=0) - grips
+    grips = np.array([_grip(model, name) for name in _holding(model, object)]).reshape(-1, 3)
+    inward = np.mean(grips, axis=0) - grips if len(grips) else grips
     distance = np.linalg.norm(inward, axis=1)
-    if not np.all(distance > 1e-9):
+    if not (len(grips) and np.all(distance > 1e-9)):
         raise ControlError(
             "control.squeeze: the arms do not hold the object from different sides, so that they "
             "cannot press against each other; leave `squeeze` out or join them elsewhere"
@@ -148,10 +162,7 @@ def _towards_the_middle(model: Model) -> np.ndarray:
             "`internal_forces`"
         )
     forces /= mean
-    wrenches = np.zeros((len(model.layout.owners), 6))
-    numbers = [model.layout.owners.index(name) for name in holding]
-    wrenches[numbers] = np.hstack([forces, np.cross(grips, forces)])
-    return wrenches
+    return np.hstack([forces, np.cross(grips, forces)])
 
 
 def _grip(model: Model, connection: str) -> np.ndarray:

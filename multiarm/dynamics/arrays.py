@@ -101,6 +101,7 @@ class Constants(NamedTuple):
     circular: Ints1
     first_joint: Ints1  # (R + 1,) of each robot; last the number of all joints
     floating_bases: FloatingBases
+    undriven: Ints1  # joints without drives: the six of each floating base, then passive ones
     contacts: ContactTable  # geometry on links is in the frame of the joint that moves the link
     links: Links
     connections: Connections  # the C owners of rows

@@ -163,7 +163,7 @@ def right_hand_sides(address, size, alpha, beta):
     status, power = passive_forces(struct, model, data, work), 0.0
     if status == OK and model.control.shape[0] > 0:
         status = command_torques(struct, model, data, work)
-        clear_torques_of_bases(data)
+        clear_undriven(model, data)
         if status == OK:
             status = call_effects(model.passive_end, model.actuator_end, struct, model, data)
         power = add_torques(model, data)
@@ -176,11 +176,10 @@ def right_hand_sides(address, size, alpha, beta):
 
 
 @inlined
-def clear_torques_of_bases(data):
-    """Floating bases have no drives, whatever a law writes."""
-    for b in range(data.state.floating_bases.size):
-        for k in range(6):
-            data.control.torque[data.state.floating_bases[b] + k] = 0.0
+def clear_undriven(model, data):
+    """Joints without drives get no torque, whatever a law writes."""
+    for u in range(model.undriven.size):
+        data.control.torque[model.undriven[u]] = 0.0
 
 
 @inlined

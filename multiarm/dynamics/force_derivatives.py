@@ -54,7 +54,6 @@ from multiarm.dynamics.equations import (
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.held_control import without_samples
 from multiarm.dynamics.kinematics import object_terms
-from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.status import CALLBACK_FAILED, OK, SINGULAR
 from multiarm.dynamics.variables import HELD
 from multiarm.geometry.stencils import CENTRAL_4, FORWARD_1, FORWARD_2
@@ -270,9 +269,8 @@ def differentiate_control(struct, differences):
     elif status == OK and differences.time_change > 0.0 and not differences.held:
         status = add_differences(struct, differences, CONTROL, False)
         take_torque_slopes(data, columns.time, columns.time + 1)
-    for b in range(data.state.floating_bases.size):  # which have no drives
-        for j in range(data.state.floating_bases[b], data.state.floating_bases[b] + TWIST):
-            clear(data.slopes.torque[j])
+    for u in range(model.undriven.size):
+        clear(data.slopes.torque[model.undriven[u]])
     acted = act(struct, differences, CONTROL, model, data, work)
     for k in range(differences.laws, model.control.shape[0]):
         if acted == OK:

@@ -17,6 +17,14 @@ in joint space, where it also holds for arms with more or fewer than six joints 
 postures.  A redundant arm has the accelerations nearest to a posture acceleration, in the metric of
 its kinetic energy.
 
+*Several objects* may each have an acceleration of their own.  Those of the others, :math:`a_u`, are
+the smallest, in the metric of their kinetic energy, with which joints without a robot keep closed
+and contacts need not exert what they cannot,
+
+.. math:: W_{ok}^T a = c_k, \qquad Z^T (I_o a - f_o) = 0, \quad Z^T W_o = 0 ,
+
+as a plate on a hinge swings by itself.
+
 The accelerations of a robot with several tips satisfy these equations for all its connections at
 once: with the object, with the world, where :math:`\dot v_o` is zero, and of its links with each
 other, where it is that of the second link.  They keep its couplings and wheels too.  Contacts that
@@ -30,6 +38,13 @@ contacts those with the world apart, whose forces are :math:`\nu`,
 
 The second equation is one more for the accelerations: it says how the base moves in directions in
 which no joint with the world holds it.  The first one has the forces of least norm of these joints.
+
+*Passive joints* have no drives: contact forces on the objects take the place of their torques,
+
+.. math:: W_p\lambda = M_p\ddot q + b_p, \qquad W_o\lambda = w ,
+
+with the smallest change of :math:`\lambda`.  Where no contact force acts on a passive joint, these
+are equations for its acceleration.
 
 Reference: S.Y. Ho, Analysis and Design of Multi-Arm Robotic Systems Manipulating Large Objects,
 CUHK 1995, section 3.10.
@@ -55,14 +70,15 @@ from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residu
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
 from multiarm.dynamics.layout import TWIST
-from multiarm.dynamics.model import Model, require_one_object
+from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
+from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.dynamics.state import State, checked_vector
 from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import ModelError, SolverError
 from multiarm.geometry.records import Contact
-from multiarm.geometry.screws import skew
+from multiarm.geometry.screws import lever_arm, row_scale, skew
 from multiarm.jit.rows import fields_of
 from multiarm.notation import count_of
 from multiarm.robots.robot import Robot
@@ -101,7 +117,7 @@ class InverseDynamics:
 def inverse_dynamics(
     system: System,
     state: State,
-    object_acceleration: np.ndarray,
+    object_acceleration: np.ndarray | Mapping[str, np.ndarray],
     relative_acceleration: Mapping[str, np.ndarray | None] | None = None,
     internal_forces: np.ndarray | None = None,
     t: float = 0.0,
@@ -117,8 +133,9 @@ def inverse_dynamics(
         contacts of the joints are closed, those with a floor are open.
     state : State
         On the constraints, positions and velocities.
-    object_acceleration : array-like, shape (6,)
-        Of the centre of mass (classical) and angular, world axes [m/s^2, rad/s^2].
+    object_acceleration : array-like, shape (6,), or mapping object -> array-like (6,)
+        Of the centre of mass (classical) and angular, world axes [m/s^2, rad/s^2].  Of several
+        objects a mapping; those that it leaves out follow as their joints want.
     relative_acceleration : mapping connection -> array-like (m_i,) or None, optional
         Rates of ``alpha``, in the order of ``system.frames[name].free`` [m/s^2, rad/s^2]; ``None``
         leaves the relative motion undetermined.  Left out: zero for connections with the object,
@@ -135,17 +152,18 @@ def inverse_dynamics(
     Raises
     ------
     SolverError
-        When a robot, or the object on its joints with the world, cannot have the desired motion.
+        When a robot, or an object on its joints with others and the world, cannot have the desired
+        motion.
     GraspError
         When the contacts cannot put the desired wrench on the object, there is no basis of the
         desired form, or the internal forces do not fit it.
     ModelError
-        For an unknown robot or connection, or a wrong shape.
+        For an unknown robot, connection or object, or a wrong shape.
     """
     system = require_system(system, "ma.inverse_dynamics(system, state, acceleration)")
-    require_one_object(system.model, "torques are computed for the desired motion of one")
+    _require_drives(system.model)
     t, state = require_time(t), system.checked(state)
-    desired = checked_vector("object_acceleration", object_acceleration, 6)
+    desired = _desired_accelerations(system.model, object_acceleration)
     relative = _relative_accelerations(
         system.model, {} if relative_acceleration is None else relative_acceleration
     )
@@ -161,7 +179,7 @@ def inverse_dynamics(
 def _solve(
     data: Data,
     ev: Evaluation,
-    desired: np.ndarray,
+    desired_of: Mapping[str, np.ndarray],
     relative: Mapping[str, np.ndarray | None],
     posture: Mapping[str, np.ndarray],
     internal_forces: np.ndarray | None,
@@ -171,13 +189,16 @@ def _solve(
     b, layout = data.arrays, data.model.layout
     free, f_o, c = b.forces.f_j.copy(), b.forces.f_o.copy(), b.rows.c.copy()
     require_ok(data, update_kinematics(data.struct))
+    desired = _object_accelerations(data, f_o, c, desired_of)
     force = _contact_forces(data, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
     a_j, torque = np.zeros(layout.rate_count), np.zeros(layout.rate_count)
-    missed = _missed_by_the_object(data, c, desired)
+    missed = _missed_by_objects(data, c, desired)
+    accelerations = dict(zip(layout.objects, np.reshape(desired, (-1, TWIST)), strict=True))
     for robots in layout.robot_groups:
         group = _Group.of(data, robots)
         d, r, names = group.joints, group.rows, [layout.names[i] for i in robots]
-        A, a = _desired_motion(data, group, ev, desired, relative)
+        A, a = _desired_motion(data, group, ev, accelerations, relative)
+        A, a = _with_idle_joints(data.model, group, free[d], A, a)
         base = _BaseBalance.of(data, group)
         other = free[d][base.rows] + group.W[base.rows] @ force[r]
         A = np.vstack([A, base.across @ group.M[base.rows]])
@@ -193,6 +214,8 @@ def _solve(
             verb = "miss" if len(names) > 1 else "misses"
             missed.append(f"{robots_in_words} {verb} it by {left:.3g} m/s^2, rad/s^2")
         torque[d] = group.M @ a_j[d] - free[d] - group.W @ force[r]
+    if not missed and layout.passive_joints:
+        missed = _carry_passive_joints(data, force, torque)
     if missed:
         key = "arm" if set(data.model.connections) == set(data.model.robots) else "connection"
         raise SolverError(
@@ -208,6 +231,66 @@ def _solve(
         base_accelerations=layout.split_bases(a_j),
         residuals=residuals_of(data, acceleration, forces, force, c),
     )
+
+
+def _require_drives(model: Model) -> None:
+    layout = model.layout
+    if layout.passive_joints and layout.floating_robots:
+        raise ModelError(
+            f"inverse dynamics: the joint {model.joint_names[layout.passive_joints[0]]!r} is "
+            f"passive and the base of {layout.names[layout.floating_robots[0]]!r} floats; torques "
+            "are computed where one of both is so"
+        )
+
+
+def _with_idle_joints(
+    model: Model, group: _Group, free: np.ndarray, A: np.ndarray, a: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The equations of a group's accelerations, with those of joints that no force can drive.
+
+    ``free`` (n,) are the joints' forces without drives and contacts.
+    """
+    joints, rows = group.joints, group.rows
+    passive = [
+        joint - joints.start
+        for joint in model.layout.passive_joints
+        if joints.start <= joint < joints.stop
+    ]
+    if not passive:
+        return A, a
+    of_objects = model.contacts_of_object
+    carrying = [row - rows.start for row in of_objects if rows.start <= row < rows.stop]
+    u, singular, _ = np.linalg.svd(group.W[np.ix_(passive, carrying)])
+    across = u[:, rank_of(singular, BLOCK_RANK_TOLERANCE) :].T
+    return np.vstack([A, across @ group.M[passive]]), np.append(a, across @ free[passive])
+
+
+def _carry_passive_joints(data: Data, force: np.ndarray, torque: np.ndarray) -> list[str]:
+    """Let contact forces (N,) take over the torques (n,) of passive joints; what is left, in words.
+
+    The wrenches on the objects stay.
+    """
+    model, layout = data.model, data.model.layout
+    rows, passive = list(model.contacts_of_object), list(layout.passive_joints)
+    directions = force_directions(data)[:, rows]
+    idle = directions[layout.of_joints][passive]
+    stacked = np.vstack([directions[layout.of_frames], idle])
+    sizes = np.linalg.norm(stacked, axis=1)
+    scale = 1.0 / np.where(sizes > 0.0, sizes, 1.0)
+    wanted = np.append(np.zeros(layout.node), torque[passive])
+    change = np.linalg.lstsq(scale[:, None] * stacked, scale * wanted, BLOCK_RANK_TOLERANCE)[0]
+    force[rows] += change
+    torque -= directions[layout.of_joints] @ change
+    size = MISSED_MOTION * (1.0 + np.max(np.abs(wanted)))
+    missed = [
+        f"the passive joint {model.joint_names[joint]!r} would need {torque[joint]:.3g} "
+        f"{'N' if model.joint_units[joint] == 'm' else 'N m'}"
+        for joint in passive
+        if abs(torque[joint]) > size
+    ]
+    if not missed:
+        torque[passive] = 0.0
+    return missed
 
 
 def _freedom(robot: Robot) -> str:
@@ -283,8 +366,33 @@ def _noun(model: Model, robot: str) -> str:
     return "arm" if "" in model.robots[robot].tips else "robot"
 
 
-def _missed_by_the_object(data: Data, c: np.ndarray, desired: np.ndarray) -> list[str]:
-    """What of the object's acceleration its joints with the world forbid, in words."""
+def _object_accelerations(
+    data: Data, f_o: np.ndarray, c: np.ndarray, desired: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Accelerations of all objects (6 F,): the desired ones, and of the others the smallest."""
+    model, W_o = data.model, data.arrays.rows.W_o
+    objects, inertia = model.layout.objects, data.arrays.bodies.object_inertia
+    accelerations = np.zeros((len(objects), TWIST))
+    follows = np.repeat([name not in desired for name in objects], TWIST)
+    for name, acceleration in desired.items():
+        accelerations[objects.index(name)] = acceleration
+    a = accelerations.ravel()
+    if not np.any(follows):
+        return a
+    alone = [name for name, pair in model.connections.items() if not pair.robots]
+    rows = [np.r_[model.layout.contacts_of(model.layout.owners.index(name))] for name in alone]
+    passive = np.concatenate([np.zeros(0, dtype=int), *rows])
+    scale = np.tile(row_scale(lever_arm(W_o.T)), len(objects))
+    Z = scale[:, None] * null_space(W_o * scale, BLOCK_RANK_TOLERANCE).basis
+    E, e = np.vstack([W_o[passive], Z.T @ inertia]), np.concatenate([c[passive], Z.T @ f_o])
+    left = e - E[:, ~follows] @ a[~follows]
+    of_followers = inertia[np.ix_(follows, follows)]
+    a[follows], _ = _nearest(of_followers, E[:, follows], left, np.zeros(len(of_followers)))
+    return a
+
+
+def _missed_by_objects(data: Data, c: np.ndarray, desired: np.ndarray) -> list[str]:
+    """What of the objects' accelerations their joints without a robot forbid, in words."""
     model, missed = data.model, []
     for name, pair in model.connections.items():
         if pair.robots:
@@ -300,13 +408,13 @@ def _desired_motion(
     data: Data,
     group: _Group,
     ev: Evaluation,
-    object_acceleration: np.ndarray,
+    object_accelerations: Mapping[str, np.ndarray],
     relative: Mapping[str, np.ndarray | None],
 ) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``a`` of the equations ``A q'' = a`` for the joint accelerations of a group."""
     model = data.model
     equations = [
-        _motion_of_first(model, pair, ev, group, object_acceleration, relative[name])
+        _motion_of_first(model, pair, ev, group, object_accelerations, relative[name])
         for name, pair in model.connections.items()
         if group.first.keys() & pair.robots
     ]
@@ -327,7 +435,11 @@ class _Frame(NamedTuple):
 
 
 def _frame(
-    model: Model, body: BodyName, group: _Group, ev: Evaluation, object_acceleration: np.ndarray
+    model: Model,
+    body: BodyName,
+    group: _Group,
+    ev: Evaluation,
+    object_accelerations: Mapping[str, np.ndarray],
 ) -> _Frame:
     state = ev.state
     still = np.zeros((6, len(group.M)))
@@ -342,8 +454,9 @@ def _frame(
         J[:, first : first + robot.dof] = tip.J
         return _Frame(tip.tip_rotation, tip.tip_twist, J, tip.drift)
     if body.is_object:
-        R = quaternion_to_matrix(state.object_quaternion_xyzw)
-        return _Frame(R, state.object_twist, still, object_acceleration)
+        moving = state.objects[body.tip]
+        R = quaternion_to_matrix(moving.quaternion_xyzw)
+        return _Frame(R, moving.twist, still, object_accelerations[body.tip])
     return _Frame(np.eye(3), np.zeros(6), still, np.zeros(6))
 
 
@@ -352,12 +465,12 @@ def _motion_of_first(
     pair: Connection,
     ev: Evaluation,
     group: _Group,
-    object_acceleration: np.ndarray,
+    object_accelerations: Mapping[str, np.ndarray],
     rates: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """``A`` and ``a`` of one connection; without ``rates``, across its free motions only."""
     first, second = (
-        _frame(model, body, group, ev, object_acceleration) for body in (pair.first, pair.second)
+        _frame(model, body, group, ev, object_accelerations) for body in (pair.first, pair.second)
     )
     relative, space = relative_motion(model, ev.state, pair.name), ev.motion_space(pair.name)
     alpha = space.rates(relative.twist)
@@ -390,12 +503,15 @@ def _contact_forces(
     coordinates: np.ndarray | None,
     basis: str | InternalForces,
 ) -> np.ndarray:
-    """Contact forces (N,) for a wrench on the object, world axes, and internal forces."""
+    """Contact forces (N,) for wrenches on the objects, world axes, and internal forces."""
     model, force = data.model, np.zeros(data.model.layout.contacts)
     rows = list(model.contacts_of_object)
     names = ["/".join((owner, record.name)) for owner, record in map(model.owner, rows)]
-    R = fields_of(BodyMotion, data.arrays.bodies.objects[0]).rotation
-    to_object = np.kron(np.eye(2), R.T)
+    rotations = fields_of(BodyMotion, data.arrays.bodies.objects).rotation
+    to_object = np.zeros((model.layout.node,) * 2)  # block diagonal
+    for o, R in enumerate(rotations):
+        part = slice(TWIST * o, TWIST * o + TWIST)
+        to_object[part, part] = np.kron(np.eye(2), R.T)
     W_o = to_object @ data.arrays.rows.W_o[rows].T
     form = internal_forces(W_o, basis, None, names) if isinstance(basis, str) else basis
     force[rows] = distribute(W_o, to_object @ wrench, coordinates, form)
@@ -421,6 +537,20 @@ def _nearest(
     )[0]
     a_j = preferred + np.linalg.solve(L.T, y)
     return a_j, float(np.max(np.abs(A @ a_j - a), initial=0.0))
+
+
+def _desired_accelerations(model: Model, wanted: Any) -> dict[str, np.ndarray]:
+    """The desired accelerations by object."""
+    key, objects = "object_acceleration", model.layout.objects
+    if not isinstance(wanted, Mapping):
+        if len(objects) > 1:
+            raise ModelError(
+                f"{key}: there are {len(objects)} objects, {', '.join(objects)}; give a dict with "
+                f"six numbers of each that is to be moved, such as {{{objects[0]!r}: ...}}"
+            )
+        return {objects[0]: checked_vector(key, wanted, TWIST)}
+    _require_known(key, wanted, objects, "object")
+    return {name: checked_vector(f"{key}[{name!r}]", a, TWIST) for name, a in wanted.items()}
 
 
 def _relative_accelerations(

@@ -125,6 +125,8 @@ class Layout:
         The objects: the floating frames without the bases of robots.
     floating_robots : tuple of int
         Robots whose base floats: their first six joints are the base's displacement and twist.
+    passive_joints : tuple of int
+        Joints without a drive, beside the six of each floating base.
     noun : str
         What the robots are called together: ``arms``, or ``robots`` where one names its tips.
     """
@@ -137,6 +139,7 @@ class Layout:
     block_of: tuple[int, ...]
     objects: tuple[str, ...] = ("object",)
     floating_robots: tuple[int, ...] = ()
+    passive_joints: tuple[int, ...] = ()
     noun: str = "arms"
 
     def __str__(self) -> str:
@@ -402,9 +405,14 @@ class Layout:
 
     @property
     def driven_joints(self) -> np.ndarray:
-        """Numbers among all joints of those that may have drives: without floating bases."""
-        every = [np.r_[self.tree_joints(i)] for i in range(len(self.names))]
-        return np.concatenate([np.zeros(0, dtype=np.int64), *every])
+        """Numbers among all joints of those that have drives."""
+        return np.setdiff1d(np.arange(self.rate_count), self.undriven_joints)
+
+    @property
+    def undriven_joints(self) -> np.ndarray:
+        """Numbers of joints without drives: those of floating bases, then passive ones."""
+        bases = [np.arange(first, first + TWIST) for first in self.first_of_bases]
+        return np.concatenate([*bases, np.array(self.passive_joints, dtype=np.int64)])
 
     def split_contacts(self, vector: np.ndarray) -> dict[str, np.ndarray]:
         """Views ``owner -> vector[..., its contacts]``, without the surroundings."""

@@ -201,7 +201,8 @@ def gradient(
     final, running : callable, optional
         ``f(t, state)`` at the end, and under the integral; a smooth function of the state.  It
         returns a number, or a number and its derivatives by a displacement of the state, shape
-        (12 + 2 n,): shift and turn of the object, its twist, joint positions, joint velocities.
+        (12 F + 2 n,): shift and turn of each of the F objects, their twists, joint positions, joint
+        velocities.
         Without them they are differences.
     parameters : sequence of str, or mapping str -> float or None
         Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a

@@ -29,7 +29,6 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from multiarm.dynamics.layout import Layout
-from multiarm.dynamics.model import require_one_object
 from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
@@ -154,7 +153,6 @@ class LinearisedRun:
         bounds: np.ndarray,
         integrand: Slope | None = None,
     ) -> None:
-        require_one_object(system.model, "there are no derivatives of whole runs with several yet")
         _refuse(system)
         self.system, self.begin, self.end = system, begin, end
         self.bounds, self._integrand = bounds, integrand

@@ -165,8 +165,9 @@ class RunSeries:
 def _states_of(run: Trajectory, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
     """Configurations and velocities at the samples of a run, (samples, nq) and (samples, nv)."""
     positions, velocities = np.zeros((len(run), layout.nq)), np.zeros((len(run), layout.nv))
-    layout.poses(positions)[:, 0] = np.hstack([run.object_position, run.object_quaternion_xyzw])
-    layout.twists(velocities)[:, 0] = run.object_twist
+    for o, moving in enumerate(run.objects.values()):
+        layout.poses(positions)[:, o] = np.hstack([moving.position, moving.quaternion_xyzw])
+        layout.twists(velocities)[:, o] = moving.twist
     for joints, by_robot in (
         (layout.joint_positions(positions), run.joint_positions),
         (layout.joint_rates(velocities), run.joint_velocities),

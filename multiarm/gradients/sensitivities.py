@@ -97,12 +97,12 @@ class Sensitivities:
 
     @property
     def object_pose(self) -> Sensitivity:
-        """Of a shift [m] and a turn [rad] of the object, blocks (K, 6, ...)."""
+        """Of a shift [m] and a turn [rad] of each object, blocks (K, 6 F, ...)."""
         return self._sensitivity(self.rows["object_pose"])
 
     @property
     def object_twist(self) -> Sensitivity:
-        """Of the object's twist, blocks (K, 6, ...)."""
+        """Of the objects' twists, blocks (K, 6 F, ...)."""
         return self._sensitivity(self.rows["object_twist"])
 
     @cached_property

@@ -1,7 +1,7 @@
 r"""The variational equation of a run: how nearby motions differ from it.
 
 A nearby motion is displaced by :math:`\delta = (\delta x, \theta, \delta v_o, \delta q, \delta
-\dot q)`: a shift of the object and a rotation vector, world axes, a change of its twist, of the
+\dot q)`: a shift of each object and a rotation vector, world axes, a change of its twist, of the
 joints and of their rates.  With the derivatives of the accelerations
 (:mod:`multiarm.dynamics.derivatives`) and :math:`R_\theta = \exp(\theta) R`,
 
@@ -70,7 +70,7 @@ UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
 
 
 class VariationalEquation(NamedTuple):
-    """The variational equation at one state, D = 12 + 2 n.
+    """The variational equation at one state, D = 12 F + 2 n with F objects.
 
     Attributes
     ----------

@@ -23,6 +23,7 @@ from multiarm.scene.resolution import (
     Examination,
     ResolvedRobot,
     check_kind,
+    check_passive,
     locked_positions,
     mesh_folders,
     outline_of,
@@ -142,6 +143,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
         examination.links += tool.links
         moved = spec.tool.mount in examination.moving
         examination.moving += tool.links if moved else tool.carried_by(names)
+    check_passive(spec.passive, free, examination)
     locked = locked_positions(spec.lock, joints, free, examination)
     if spec.open_base and spec.posture not in (None, SOLVE):
         text = "a base that is found has its posture with it; write 'posture: solve', or none"
@@ -161,6 +163,7 @@ def examine_arm(spec: ArmSpec) -> Examination:
             velocity=velocity,
             locked=locked,
             mjcf=spec.mjcf is not None,
+            passive=spec.passive,
         )
     return examination
 

@@ -329,8 +329,6 @@ def _check_control(control: ControlKind | None, arms: KnownRobots, findings: Fin
         faults = called(lambda: control.faults(arms), f"control kind {control.kind!r}: faults()")
     except ModelError as error:
         faults = [((), str(error))]
-    if len(arms.objects) > 1:
-        faults = [*faults, *control.faults_with_several_objects()]
     faults = [*faults, *control.faults_of_object(tuple(arms.objects))]
     for where, text in faults:
         findings.add_fault(("control", *where), text)

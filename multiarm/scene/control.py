@@ -48,16 +48,10 @@ class ControlKind(UserKind):
         The control in YAML, as a scene has it.
     by_joint : tuple of str
         Fields with values by arm and joint, which are checked against the arms.
-    of_one_object : bool
-        Whether it is for scenes with one object.
-    moves_object : bool
-        Whether it moves the object that it names.
     """
 
     class_sort = "control"
     by_joint: ClassVar[tuple[str, ...]] = ()
-    of_one_object: ClassVar[bool] = False
-    moves_object: ClassVar[bool] = False
 
     kind: str
 
@@ -71,10 +65,12 @@ class ControlKind(UserKind):
         """Whether its torques carry arms and object at the start."""
         return self.compensates_gravity
 
-    @property
-    def object_waypoints(self) -> tuple[Waypoint, ...]:
-        """Poses that the object is to pass; empty where it is to stay, or may go anywhere."""
-        return ()
+    def paths(self, _objects: Sequence[str]) -> dict[str, tuple[Waypoint, ...]]:
+        """Of the objects of a scene those that it moves, and the poses that each is to pass.
+
+        No poses where an object is to stay.
+        """
+        return {}
 
     def faults(self, arms: KnownRobots) -> Faults:
         """Faults with respect to the arms: their places in the control, and texts."""
@@ -84,19 +80,8 @@ class ControlKind(UserKind):
             for fault in below((key,), gain_faults(getattr(self, key), arms))
         ]
 
-    def faults_with_several_objects(self) -> Faults:
-        """What of it is for scenes with one object."""
-        tail = "is for scenes with one object; with several, "
-        kind = f"control kind {self.kind!r} {tail}"
-        if self.of_one_object:
-            text = f"{kind}use 'object_impedance', or drive the joints, as 'joint_pd' does"
-            return [(("kind",), text)]
-        if self.object_waypoints and not self.moves_object:
-            return [(("path",), f"a path {tail}leave it out, or use kind 'object_impedance'")]
-        return []
-
     def faults_of_object(self, _objects: Sequence[str]) -> Faults:
-        """What is wrong with the object that it names, one of some."""
+        """What is wrong with the objects that it names, some of those of the scene."""
         return []
 
     @classmethod
@@ -155,7 +140,63 @@ def _ordered(path: tuple[Waypoint, ...] | None) -> tuple[Waypoint, ...] | None:
     return path
 
 
+def _or_stay(path: Any) -> Any:
+    """No poses, in a table of paths, are an empty entry."""
+    return None if path in ([], ()) else path
+
+
 ObjectPath = Annotated[tuple[Waypoint, ...] | None, AfterValidator(_ordered)]
+PathInTable = Annotated[ObjectPath, BeforeValidator(_or_stay, json_schema_input_type=ObjectPath)]
+
+
+class _OneObject(SampledControl):
+    """Keys of control that moves one object."""
+
+    object: str | None = None
+    path: ObjectPath = None
+
+    def paths(self, objects: Sequence[str]) -> dict[str, tuple[Waypoint, ...]]:
+        """That of the object that it names, or of the only one."""
+        return {self.object or objects[0]: self.path or ()}
+
+    def faults_of_object(self, objects: Sequence[str]) -> Faults:
+        """An object that is not there, or not named among several."""
+        if self.object is not None and self.object not in objects:
+            return [(("object",), unknown("object", self.object, objects))]
+        if self.object is None and len(objects) > 1:
+            text = f"which one does it move? Write 'object: ...', of {listed(objects)}"
+            return [(("object",), text)]
+        return []
+
+
+class _SomeObjects(_OneObject):
+    """Keys of control that moves one object or several."""
+
+    objects: dict[str, PathInTable] | None = None
+
+    @model_validator(mode="after")
+    def _one_way_to_name_objects(self) -> Self:
+        if self.objects is None:
+            return self
+        if not self.objects:
+            raise invalid("'objects' is empty; write 'object: path', or leave the key out")
+        for key in ("object", "path"):
+            if getattr(self, key) is not None:
+                raise invalid(f"'objects' names objects and their paths; leave '{key}' out")
+        return self
+
+    def paths(self, objects: Sequence[str]) -> dict[str, tuple[Waypoint, ...]]:
+        """Those of the objects that it names, or of the only one."""
+        if self.objects is None:
+            return super().paths(objects)
+        return {name: self.objects[name] or () for name in objects if name in self.objects}
+
+    def faults_of_object(self, objects: Sequence[str]) -> Faults:
+        """Objects that are not there, or not named among several."""
+        if self.objects is None:
+            return super().faults_of_object(objects)
+        names = (name for name in self.objects if name not in objects)
+        return [(("objects", name), unknown("object", name, objects)) for name in names]
 
 
 # --- laws of the joints ---------------------------------------------------------------------------
@@ -196,8 +237,20 @@ class GravityCompensationControl(SampledControl):
         return True
 
 
-class JointPDControl(SampledControl):
-    """Joint springs and dampers about a reference, which may follow a path of the object."""
+class JointPDControl(_SomeObjects):
+    """Joint springs and dampers about a reference, which may follow paths of objects.
+
+    Attributes
+    ----------
+    object : str, optional
+        The one that is to follow ``path``, where there are several.
+    path : list of Waypoint, optional
+        Poses of the object that the reference passes. A path that does not begin at time 0 begins
+        with the start pose. Absent: the reference is the start.
+    objects : table of lists of Waypoint, optional
+        In place of both, with several objects: a table 'object: path'. An empty entry keeps its
+        object where it is.
+    """
 
     picture = (
         "a robot that holds or follows joint angles, as with springs and dampers in its joints"
@@ -217,19 +270,22 @@ control:
     """[N m s/rad] or [N s/m]: one for all joints, one per joint, or a table by arm."""
     gravity_compensation: bool = True
     """Add the torques that hold the whole system, arms and object, still."""
-    path: ObjectPath = None
-    """Poses of the object that the reference passes. A path that does not begin at time 0 begins
-    with the start pose. Absent: the reference is the start."""
 
     @property
     def compensates_gravity(self) -> bool:
         """Where ``gravity_compensation`` says so."""
         return self.gravity_compensation
 
-    @property
-    def object_waypoints(self) -> tuple[Waypoint, ...]:
-        """Those of ``path``."""
-        return self.path or ()
+    def paths(self, objects: Sequence[str]) -> dict[str, tuple[Waypoint, ...]]:
+        """Those of the objects that it names, or of the only one; none without any."""
+        return super().paths(objects) if self.path or self.objects else {}
+
+    def faults_of_object(self, objects: Sequence[str]) -> Faults:
+        """Objects that are not there, or a path without one among several."""
+        if self.object is not None and self.path is None:
+            return [(("object",), "names what follows 'path'; write a path, or leave it out")]
+        names_none = self.path is None and self.objects is None
+        return [] if names_none else super().faults_of_object(objects)
 
 
 class HarmonicControl(SampledControl):
@@ -412,12 +468,9 @@ ContactForces = Annotated[
 ]
 
 
-class _ObjectControl(SampledControl):
-    """Keys of both control laws."""
+class _Hold(SampledControl):
+    """Keys of both control laws: how the arms hold what they move."""
 
-    moves_object = True
-
-    path: ObjectPath = None
     relative_damping: NonNegative = 10.0
     """Rate at which motions of the arms that the object does not need die out [1/s]."""
     relative_stiffness: NonNegative = 0.0
@@ -427,15 +480,10 @@ class _ObjectControl(SampledControl):
     squeeze: NonNegative = 0.0
     """How hard the arms press the object between them [N]: fingertips, which can only push, press
     so hard in the mean; arms with idealised joints each press so hard towards the middle of all
-    grips."""
+    grips. Of several objects, each that is moved."""
     internal_forces: dict[str, ContactForces] | None = None
     """A table 'arm: forces' [N], one for each contact of the arm's joint, or of another by its
     name; the part that is not internal is removed."""
-
-    @property
-    def object_waypoints(self) -> tuple[Waypoint, ...]:
-        """Those of ``path``."""
-        return self.path or ()
 
     def faults(self, arms: KnownRobots) -> Faults:
         """Internal forces of joints that are none."""
@@ -446,20 +494,25 @@ class _ObjectControl(SampledControl):
         ]
 
 
-class ComputedTorqueControl(_ObjectControl):
+class ComputedTorqueControl(_SomeObjects, _Hold):
     """Inverse dynamics: the object follows its path, with errors that die out at given rates.
 
     The object's acceleration is commanded as that of the path, plus damping times the error of the
-    velocity, plus stiffness times the error of the pose.
+    velocity, plus stiffness times the error of the pose. Of several objects, those that it does not
+    name follow as their joints want; what the joints leave open is damped.
 
     Attributes
     ----------
+    object : str, optional
+        The one that follows ``path``, where there are several.
     path : list of Waypoint, optional
         Poses of the object, reached at rest. A path that does not begin at time 0 begins with
         the start pose. Absent: the object is held where it is.
+    objects : table of lists of Waypoint, optional
+        In place of both, with several objects: a table 'object: path'. An empty entry holds its
+        object where it is.
     """
 
-    of_one_object = True
     picture = "an exact model drives the object along its path, whatever arms and object weigh"
     example = """
 control:
@@ -480,7 +533,7 @@ control:
         return True
 
 
-class ObjectImpedanceControl(_ObjectControl):
+class ObjectImpedanceControl(_OneObject, _Hold):
     """An object on a spring and a damper; robots and objects carry their own weight.
 
     Attributes
@@ -500,7 +553,6 @@ control:
   damping: {translation: 400, rotation: 40}       # [N s/m], [N m s/rad]"""
 
     kind: Literal["object_impedance"] = "object_impedance"
-    object: str | None = None
     stiffness: Annotated[ObjectGain, _TABLE]
     """A table {translation: [N/m], rotation: [N m/rad]}, each a number or 3 for world axes."""
     damping: Annotated[ObjectGain, _TABLE]
@@ -510,18 +562,6 @@ control:
     def compensates_gravity(self) -> bool:
         """Always: the spring would give way under the weight."""
         return True
-
-    def faults_of_object(self, objects: Sequence[str]) -> Faults:
-        """An object that is not there, or not named among several; a squeeze among several."""
-        if self.object is None and len(objects) > 1:
-            text = f"which one does the spring pull? Write 'object: ...', of {listed(objects)}"
-            return [(("object",), text)]
-        if self.object is not None and self.object not in objects:
-            return [(("object",), unknown("object", self.object, objects))]
-        keys = [key for key in ("squeeze", "internal_forces") if getattr(self, key)]
-        if keys and len(objects) > 1:
-            return [((keys[0],), "is for scenes with one object; leave it out")]
-        return []
 
 
 # --- all kinds ------------------------------------------------------------------------------------

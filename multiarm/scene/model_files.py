@@ -80,6 +80,8 @@ class RobotModel(ModelSource):
     """Velocities [rad/s] or [m/s] at the start, 0 where not named."""
     lock: dict[str, Number] = Field(default_factory=dict)
     """Joints that are held fixed at a position [rad] or [m]."""
+    passive: tuple[str, ...] = ()
+    """Joints that move without a drive: no control gives them a torque."""
     color: Color | None = None
     """Red, green, blue, opacity from 0 to 1."""
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from multiarm.errors import ModelError, SceneError
 from multiarm.notation import count_of
-from multiarm.scene.faults import Faults, counted, listed
+from multiarm.scene.faults import Faults, counted, listed, unknown
 from multiarm.scene.joint_values import SOLVE, KnownRobot, joint_value_faults, joint_vector
 from multiarm.scene.meshes import resolve_mesh
 from multiarm.scene.model_files import ModelSource, RobotModel
@@ -72,6 +72,8 @@ class ResolvedRobot:
         Of joints that move and copy others.
     on_wheels : bool
         The base has the joints ``base_x``, ``base_y``, ``base_yaw`` and does not slip sideways.
+    passive : tuple of str
+        Moving joints without a drive.
     """
 
     urdf: Path
@@ -90,6 +92,7 @@ class ResolvedRobot:
     base_inertia: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     mimic: tuple[MimicCoupling, ...] = ()
     on_wheels: bool = False
+    passive: tuple[str, ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -174,6 +177,16 @@ def check_kind(joint: JointOutline, tip: str, examination: Examination) -> None:
             text=f"joint {joint.name!r} on the way to {tip!r} is {joint.kind}; arms move "
             f"by {listed(CHAIN_JOINTS)} joints (or lock it: lock: {{{joint.name}: 0.0}})"
         )
+
+
+def check_passive(
+    passive: Sequence[str], moving: Sequence[JointOutline], examination: Examination
+) -> None:
+    """Note joints without a drive that do not move."""
+    names = [joint.name for joint in moving]
+    for name in passive:
+        if name not in names:
+            examination.add_fault("passive", text=unknown("moving joint", name, names))
 
 
 def locked_positions(

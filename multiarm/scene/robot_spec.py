@@ -31,6 +31,7 @@ from multiarm.scene.resolution import (
     Examination,
     ResolvedRobot,
     check_kind,
+    check_passive,
     couplings_of,
     locked_positions,
     mesh_folders,
@@ -297,6 +298,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
         held = "'lock' holds all of its joints" if spec.lock else "its file has no joint that moves"
         text = f"nothing of it moves: {held}; let one of them move, or the base, with 'moves'"
         examination.add_fault("lock" if spec.lock else "base", text=text)
+    check_passive(spec.passive, moving, examination)
     locked = locked_positions(spec.lock, joints, free, examination)
     _warn_of_held_followers(spec, on_way, joints, locked, examination)
     names = {joint.name for joint in moving}
@@ -327,6 +329,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
             base_inertia=np.array(spec.base.inertia or np.zeros((3, 3))),
             mimic=couplings_of(moving),
             on_wheels=spec.base.moves == DIFFERENTIAL,
+            passive=spec.passive,
         )
     return examination
 

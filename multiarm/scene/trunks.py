@@ -114,6 +114,7 @@ def _robot(
         lock=lock | {j: q for arm in ours for j, q in arm.lock.items() if j not in moved},
         posture=_merged("posture", names, joints, arms),
         velocity=_merged("velocity", names, joints, arms),
+        passive=tuple(dict.fromkeys(joint for arm in ours for joint in arm.passive)),
         color=next((arm.color for arm in ours if arm.color is not None), None),
     )
 

@@ -76,10 +76,12 @@ class Carrying:
 def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None:
     """Whether contacts and drives can carry the object at rest where the system was evaluated.
 
-    None where nothing weighs, there are several objects, a floor carries too, or the control does
-    not carry the object.
+    None where nothing weighs, there are several objects, a floor carries too, a joint is passive,
+    or the control does not carry the object.
     """
     state, scene = evaluation.state, system.scene
+    if system.model.layout.passive_joints:
+        return None
     weighs = scene.gravity is not None and any(scene.gravity) and len(scene.all_objects) == 1
     if not weighs or scene.effects.floor is not None or not scene.control.carries:
         return None

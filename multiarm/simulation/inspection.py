@@ -85,6 +85,7 @@ class ArmFacts:
     joints: dict[str, str]  # name -> "rad" or "m", base to tip
     posture: list[float]  # [rad, m], at the (assembled) start
     locked: dict[str, float]  # [rad, m]
+    passive: list[str]  # joints without a drive
     terms: str  # backend of the dynamics: "compiled" or "pinocchio"
     not_compiled: str | None  # why not, although the scene asks for it
     conditioning: float | None  # smallest relative pivot; None with the dense solver
@@ -107,6 +108,7 @@ class RobotFacts:
     posture: list[float]
     mimic: list[MimicCoupling]
     locked: dict[str, float]
+    passive: list[str]
     terms: str
     not_compiled: str | None
     conditioning: float | None  # of all rows of its connections and couplings
@@ -367,6 +369,7 @@ def _arm_facts(system: System, name: str, evaluation: Evaluation | None) -> ArmF
         joints=dict(arm.joint_units),
         posture=system.initial_state().joint_positions[name].tolist(),
         locked={joint: q for joint, q in arm.files.locked.items() if joint not in moved},
+        passive=list(spec.passive),
         terms=system.arm_terms[name],
         not_compiled=system.not_compiled.get(name),
         conditioning=pivot,
@@ -391,6 +394,7 @@ def _robot_facts(system: System, name: str, evaluation: Evaluation | None) -> Ro
         posture=system.initial_state().joint_positions[name].tolist(),
         mimic=list(system.model.resolved_robots[name].mimic),
         locked=dict(robot.files.locked),
+        passive=list(spec.passive),
         terms=system.arm_terms[name],
         not_compiled=system.not_compiled.get(name),
         conditioning=pivot,

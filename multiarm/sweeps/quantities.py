@@ -21,7 +21,6 @@ from multiarm.results.limit_use import QUANTITIES as LIMITED
 from multiarm.results.limit_use import largest_shares
 from multiarm.scene import Pose
 from multiarm.scene.code import UserFunction, function_text, load_function
-from multiarm.scene.control import ObjectImpedanceControl
 from multiarm.scene.faults import invalid, shown
 from multiarm.scene.spec import Spec
 
@@ -148,23 +147,26 @@ def _largest(*channels: np.ndarray) -> float:
 def _pose_errors(trajectory: Trajectory) -> tuple[float, float]:
     """Distance [m] and angle [rad] of the object's last pose from the desired one.
 
-    Without a path the desired pose is that at t = 0; of several objects these are the largest.
-    A path leads one object, and the errors are those of that one.
+    Without a path the desired pose is that at t = 0; of several objects these are the largest, of
+    those that have paths where some have.
     """
     from multiarm.control.object_path import pose_path, reference_pose, route
     from multiarm.simulation.comparison import object_poses, pose_differences
 
     poses = object_poses(trajectory)
-    control = trajectory.scene.control
-    if not control.object_waypoints:
+    objects = list(trajectory.scene.all_objects)
+    paths = trajectory.scene.control.paths(objects)
+    led = [objects.index(name) for name, waypoints in paths.items() if waypoints]
+    if not led:
         return pose_differences(poses[-1], poses[0])
-    led = control.object if isinstance(control, ObjectImpedanceControl) else None
-    place = 0 if led is None else list(trajectory.scene.all_objects).index(led)
-    first, last = poses[0, place], poses[-1, place]
-    start = Pose(xyz=first[:3].tolist(), quaternion_xyzw=first[3:].tolist())
-    path = pose_path(*route(start.matrix(), control.object_waypoints))
-    position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
-    return pose_differences(last, np.concatenate([position, quaternion]))
+    desired = []
+    for place in led:
+        first = poses[0, place]
+        start = Pose(xyz=first[:3].tolist(), quaternion_xyzw=first[3:].tolist())
+        path = pose_path(*route(start.matrix(), paths[objects[place]]))
+        position, quaternion, *_ = reference_pose(float(trajectory.time[-1]), path)
+        desired.append(np.concatenate([position, quaternion]))
+    return pose_differences(poses[-1, led], np.array(desired))
 
 
 def _position_error(trajectory: Trajectory) -> float:

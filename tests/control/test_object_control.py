@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.control.object_control import write_spring_wrench
 from multiarm.control.object_law import ObjectLaw
-from multiarm.control.object_path import PosePath
+from multiarm.control.object_path import PosePath, PosePaths
 from multiarm.dynamics.solver.factors import solve_semidefinite
 from multiarm.errors import ControlError, SceneError
 
@@ -289,8 +289,9 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
         x, x_r = rng.standard_normal((2, 3))
         zero = np.zeros((1, 3))
         still = PosePath(np.array([0.0, 1.0]), x_r[None], zero, rest.as_quat()[None], zero)
-        no_forces = np.zeros(0), np.zeros((0, 6))
-        law = ObjectLaw(0, stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *still)
+        no_forces = np.zeros(0), np.zeros((0, 6)), np.zeros(0, dtype=int)
+        paths = PosePaths.of([still])
+        law = ObjectLaw(np.array([0]), stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *paths)
 
         def energy(step, q=q, rest=rest, x=x, x_r=x_r):
             turned = Rotation.from_rotvec(step[3:]) * q
@@ -300,7 +301,8 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
         if (rest * q.inv()).magnitude() > 3.0:  # at half a turn the energy has a ridge
             continue
         wrench, h = np.empty(6), 1e-4
-        write_spring_wrench(0.0, law, np.concatenate([x, q.as_quat()]), np.zeros(6), wrench)
+        pose = np.concatenate([x, q.as_quat()])
+        write_spring_wrench(0.0, law, still, pose, np.zeros(6), wrench)
         slope = [(energy(h * d) - energy(-h * d)) / (2 * h) for d in np.eye(6)]
         np.testing.assert_allclose(wrench, -np.array(slope), atol=1e-3)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.solver.factors import factor_lu, norm, solve_lu, solve_semidefinite
-from multiarm.jit.kernels import allocating, copy, inlined, kernel
+from multiarm.jit.kernels import allocating, clear, copy, inlined, kernel
 
 # Contacts that carry wrenches in some direction by so much less than in others leave the forces of
 # least norm to rounding, and to differences their derivatives.
@@ -104,33 +104,38 @@ def pressing_wrench(rotation, on_object, world):
 
 
 @allocating
-def distribute_wrench(wrench, W_o, rows, rotation, of_contacts, of_connections, force):
-    r"""Write the contact forces that put ``wrench`` on one object, with internal forces.
+def distribute_wrench(wrench, W_o, rows, rotations, pressed, of_contacts, of_connections, force):
+    r"""Write the contact forces that put ``wrench`` on the objects, with internal forces.
 
     Parameters
     ----------
-    wrench : (6,)
-        About the centre of mass, world axes [N, N m].
-    W_o : (N, 6), rows : int (C + 1,)
+    wrench : (6 K,)
+        On each object about its centre of mass, world axes [N, N m].
+    W_o : (N, 6 K), rows : int (C + 1,)
         Rows of all contacts in world axes, and where each connection's begin.
-    rotation : (9,)
-        Of the object, row by row.
+    rotations : (K, 9)
+        Of the objects, row by row.
+    pressed : int (C,)
+        The object that each connection presses.
     of_contacts : (N,), of_connections : (C, 6)
-        Desired forces of the contacts, and a desired wrench of every connection on the object
+        Desired forces of the contacts, and a desired wrench of every connection on its object
         (about its centre of mass, its axes).  Only their internal part remains.
     force : (N,), written
     """
-    desired, remaining, world = np.empty(of_contacts.size), np.empty(6), np.empty(6)
+    desired, remaining = np.empty(of_contacts.size), np.empty(wrench.size)
+    world = np.zeros(wrench.size)
     copy(of_contacts, desired)
     for c in range(of_connections.shape[0]):
-        if pressing_wrench(rotation, of_connections[c], world):
+        at = 6 * pressed[c]
+        if pressing_wrench(rotations[pressed[c]], of_connections[c], world[at : at + 6]):
             r0, r1 = rows[c], rows[c + 1]
             static_forces(W_o[r0:r1], world, force[r0:r1])
             for k in range(r0, r1):
                 desired[k] += force[k]
+        clear(world)
     copy(wrench, remaining)
     for k in range(desired.size):
-        for i in range(6):
+        for i in range(remaining.size):
             remaining[i] -= W_o[k, i] * desired[k]
     static_forces(W_o, remaining, force)
     for k in range(desired.size):
