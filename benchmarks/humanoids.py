@@ -129,7 +129,7 @@ def scene_of_crowd(count: int) -> Scene:
         angle, radius = 2.0 * np.pi * k / count, 0.3 + 0.15 * count
         at = [float(-radius * np.cos(angle)), float(-radius * np.sin(angle)), 0.79]
         base = {"moves": "free", "xyz": at, "rpy": [0.0, 0.0, angle]}
-        robots[f"g{k}"] = {"robot": ROBOT, "base": base, "tips": HANDS}
+        robots[f"g{k}"] = {"robot": ROBOT, "base": base, "tips": {**HANDS, **FEET}}
         held += [{"arm": f"g{k}/{tip}", "kind": "weld"} for tip in HANDS]
     box = {"shape": {"box": [0.2, 0.3, 0.2]}, "mass": 3.0 * count, "pose": {"xyz": [0.0, 0.0, 1.0]}}
     return Scene.from_mapping(
