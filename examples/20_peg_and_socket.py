@@ -1,8 +1,7 @@
-"""A peg slides into a socket: two objects, each in the hand of an arm, and a joint between them.
+"""Four arms push a peg into a socket: two objects, two arms at each, and a joint between them.
 
-The arm of the socket holds it with springs; that of the peg carries it and gives way, so that a
-push moves it.  A cylindrical joint transmits neither a force along its axis nor a moment about it:
-what the push does goes into motion and into the dampers of the arm's joints.
+Computed torque has a path for each object.  A cylindrical joint transmits neither a force along its
+axis nor a moment about it, so that the socket does not feel how the peg goes in.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 
@@ -18,26 +18,23 @@ SCENE = Path(__file__).parent / "scenes" / "peg_and_socket.yaml"
 
 
 def main() -> None:
-    """Push the peg, and look at what the socket feels."""
+    """Lift peg and socket, push one into the other, and look at what the socket feels."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--replay-html", type=Path, help="write the run as a web page")
     options = parser.parse_args()
-    scene = ma.load_scene(SCENE)
-    run = ma.simulate(ma.compile_system(scene))
+    run = ma.simulate(ma.compile_system(ma.load_scene(SCENE)))
     peg, socket = run.objects["peg"], run.objects["socket"]
-    depth = np.ptp(peg.position[[0, -1], 0] - socket.position[[0, -1], 0])
-    print(f"{run.status}: the peg went {1e3 * depth:.1f} mm deeper into the socket")
+    depth = np.ptp((peg.position - socket.position)[[0, -1], 0])
+    print(f"{run.status}: the peg went {1e3 * depth:.3f} mm into the socket, ", end="")
+    print(f"{1e3 * np.ptp(socket.position[:, 2]):.3f} mm higher than it began")
     wrench = run.wrenches["peg-socket"]  # on the socket, world axes
-    x, y, z, w = peg.quaternion_xyzw.T
-    axis = np.column_stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x**2 + y**2)])
-    along = np.sum(wrench[:, :3] * axis, axis=1)
+    axis = Rotation.from_quat(peg.quaternion_xyzw).as_matrix()[:, :, 2]
+    along, about = (np.sum(part * axis, axis=1) for part in np.split(wrench, 2, axis=1))
     across = np.linalg.norm(wrench[:, :3] - along[:, None] * axis, axis=1)
     print(f"the socket feels up to {across.max():.2f} N across the peg, ", end="")
-    print(f"{np.abs(along).max():.1e} N along it")
-    push = scene.effects.external_wrenches[0].force[0]
-    work = run.channel("effects/external_wrenches/work")[-1]
-    end = peg.position[:, 0] - 0.15 * axis[:, 0]  # where it pushes, along its force
-    print(f"the push did {work:.4f} J; force times way is {push * (end[-1] - end[0]):.4f} J")
+    print(f"{np.abs(along).max():.1e} N along it, {np.abs(about).max():.1e} N m about it")
+    lifted = run.time > 1.2
+    print(f"it moves by {np.ptp(socket.position[lifted], axis=0).max():.1e} m meanwhile")
     print(f"largest gap of any joint {run.position_drift.max():.0e} m")
     if options.replay_html:
         ma.replay(run, options.replay_html)
