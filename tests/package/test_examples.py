@@ -307,9 +307,7 @@ def test_four_arms_push_a_peg_into_a_socket_that_does_not_feel_it(printed):
     text = printed("20_peg_and_socket.py")
     ((depth, rise),) = figures("completed: the peg went# mm into the socket,# mm higher", text)
     assert (depth, rise) == pytest.approx((150.0, 100.0), abs=2e-3)
-    ((across, along, about),) = figures(
-        "up to# N across the peg,# N along it,# N m about it", text
-    )
+    ((across, along, about),) = figures("up to# N across the peg,# N along it,# N m about it", text)
     assert across > 1.0 and along < 1e-10 and about < 1e-10
     assert figures("it moves by# m meanwhile", text)[0][0] < 1e-6
     assert figures("largest gap of any joint# m", text)[0][0] < 1e-11
