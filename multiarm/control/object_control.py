@@ -239,7 +239,9 @@ def _program(
     paths = _paths(control, context)
     numbers = object_law(control, context, paths)
     prepare = partial(prepare_command_derivatives, derivatives)
-    law_of_objects = ControlLaw(law, numbers, differentiate_command, ObjectCommand, prepare)
+    law_of_objects = ControlLaw(
+        law, numbers, differentiate_command, ObjectCommand, prepare, reads_inertias=True
+    )
     written = control.paths(context.start.layout.objects)
     times = [path.times for name, path in paths.items() if written[name]]
     return ControlProgram((law_of_objects,), np.unique(np.concatenate([np.zeros(0), *times])))

@@ -121,6 +121,8 @@ class ControlLaw:
         ``prepare(data, work)``, called before derivatives are taken: makes what these need.
     share_derivative : Kernel, optional
         Like ``derivative``, at fixed multipliers, see above.
+    reads_inertias : bool
+        Whether it reads the inertias of blocks, ``work.M``.
     """
 
     kernel: Kernel
@@ -129,6 +131,7 @@ class ControlLaw:
     work: Any = None
     prepare: Callable[[Any, Any], None] | None = None
     share_derivative: Kernel | None = None
+    reads_inertias: bool = False
 
     @cached_property
     def struct(self) -> np.ndarray:

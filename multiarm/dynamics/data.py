@@ -144,14 +144,20 @@ class SharedData:
             v.search.user.callback = surface.address
 
     def _factored_blocks(self, model: Model) -> set[int]:
-        """The blocks that are eliminated by factors, which are wanted from now on."""
+        """The blocks that are eliminated by factors, which are wanted from now on.
+
+        None where every evaluation reads their inertias.
+        """
+        constants = model.constants
+        if constants.dense or model.unilateral or any(law.reads_inertias for law in model.laws):
+            return set()
         with_factors = fields_of(TermAddresses, self._backends.pointers).factors.tolist()
         blocks = [
             i
             for i, parts in enumerate(model.layout.parts_of_blocks)
             if parts and all(with_factors[part.robot] for part in parts)
         ]
-        factored = set() if model.constants.dense else set(model.trees).intersection(blocks)
+        factored = set(model.trees).intersection(blocks)
         if factored:
             others = set(model.layout.blocks_of_robots) - factored
             parts = [part for i in others for part in model.layout.parts_of_blocks[i]]
