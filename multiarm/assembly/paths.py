@@ -159,7 +159,7 @@ def _rigid_connections(data: Data, start: State) -> set[str]:
         arm, columns = model.robots[robot], layout.of_robot(i)
         rows = {
             layout.owners[c]: directions[columns, layout.contacts_of(c)].T
-            for c in layout.owners_of_robot(i)
+            for c in layout.owners_of_blocks_of(i)
         }
         for name, pair in model.connections.items():
             if pair.robots != (robot,) or not pair.on_object:

@@ -210,9 +210,9 @@ def group_inertia(data: Data, robots: range) -> np.ndarray:
 
 
 def robot_matrix(data: Evaluated, i: int) -> np.ndarray:
-    """The matrix W of a robot: what unit forces of its rows do to its joints, (n_i, N_i)."""
+    """What unit forces of the rows of a robot's blocks do to its joints, shape (n_i, N_i)."""
     layout = data.model.layout
-    return force_directions(data)[layout.of_robot(i), layout.contacts_of_robot(i)]
+    return force_directions(data)[layout.of_robot(i), layout.contacts_of_blocks_of(i)]
 
 
 def force_directions(data: Evaluated) -> np.ndarray:

@@ -111,9 +111,9 @@ def _of_combination(data: Evaluated, robot: str, forces: np.ndarray) -> str:
     """Words for a combination (N_i,) of the rows of a robot with several connections."""
     layout = data.model.layout
     i = layout.names.index(robot)
-    first, size = layout.contacts_of_robot(i).start, float(np.linalg.norm(forces))
+    first, size = layout.contacts_of_blocks_of(i).start, float(np.linalg.norm(forces))
     taking_part = {}
-    for c in layout.owners_of_robot(i):
+    for c in layout.owners_of_blocks_of(i):
         rows = layout.contacts_of(c)
         part = forces[rows.start - first : rows.stop - first]
         if np.linalg.norm(part) > ALIKE * size:
@@ -194,7 +194,7 @@ def _of_robot(data: Evaluated, robot: str) -> tuple[str, ...]:
     words = tuple(f"{name}: {text}" for name in names for text in _of_connection(data, name))
     together = _lost_together(data, robot)
     if together:
-        owners = data.model.layout.owners_of_robot(data.model.arm_names.index(robot))
+        owners = data.model.layout.owners_of_blocks_of(data.model.arm_names.index(robot))
         everybody = _together(data, (data.model.layout.owners[c] for c in owners))
         words += (f"{count_of(together, 'direction')} that {everybody} lose together",)
     return words
@@ -204,8 +204,8 @@ def _lost_together(data: Evaluated, robot: str) -> int:
     """Directions that a robot's connections and joints' rows lose beside what each loses alone."""
     layout, parts, alone = data.model.layout, [], 0
     i = layout.names.index(robot)
-    of_robot, first = robot_matrix(data, i), layout.contacts_of_robot(i).start
-    for c in layout.owners_of_robot(i):
+    of_robot, first = robot_matrix(data, i), layout.contacts_of_blocks_of(i).start
+    for c in layout.owners_of_blocks_of(i):
         owner, rows = layout.owners[c], layout.contacts_of(c)
         if owner in data.model.connections:
             hold = _hold(data, owner)
@@ -273,7 +273,7 @@ def _hold(data: Evaluated, connection: str) -> _Hold | None:
         return None
     i, arm = layout.names.index(pair.robots[0]), data.model.robots[pair.robots[0]]
     d, r = layout.joints_of(i), layout.contacts_of(layout.owners.index(connection))
-    first = layout.contacts_of_robot(i).start
+    first = layout.contacts_of_blocks_of(i).start
     W = robot_matrix(data, i)[:, r.start - first : r.stop - first]
     place = joint_origin(data, connection)
     wrenches = wrenches_about(data, connection, place)

@@ -31,13 +31,13 @@ other, where it is that of the second link.  They keep its couplings and wheels 
 do not act on the object carry nothing, nor do wheels: the drives do.
 
 *A floating base* has no drives: with its rows :math:`M_b, b_b, W_b` of the equations, and of its
-contacts those with the world apart, whose forces are :math:`\nu`,
+contacts those with the world and with other robots apart, whose forces are :math:`\nu`,
 
 .. math:: M_b\ddot q + b_b - W_b\lambda = W_{b\nu}\,\nu, \qquad
     Z^T (M_b\ddot q + b_b - W_b\lambda) = 0, \qquad Z^T W_{b\nu} = 0 .
 
 The second equation is one more for the accelerations: it says how the base moves in directions in
-which no joint with the world holds it.  The first one has the forces of least norm of these joints.
+which no such joint holds it.  The first one has the forces of least norm of these joints.
 
 *Passive joints* have no drives: contact forces on the objects take the place of their torques,
 
@@ -97,7 +97,7 @@ class InverseDynamics:
         [N m, N]
     contact_forces : mapping connection -> ndarray, shape (N_i,)
         The resulting magnitudes [N]; positive pushes the object.  Zero for connections that do not
-        act on it, but those of a floating base with the world: these carry what no drive can.
+        act on it, but those that hold a floating base: these carry what no drive can.
     joint_accelerations : mapping robot -> ndarray, shape (n_i,)
         [rad/s^2, m/s^2]
     base_accelerations : mapping robot -> ndarray, shape (6,)
@@ -312,7 +312,7 @@ class _Group(NamedTuple):
         layout, W = data.model.layout, force_directions(data)
         of_robots = {layout.names[i]: layout.joints_of(i) for i in robots}
         joints = slice(layout.first_joint[robots[0]], layout.first_joint[robots[-1] + 1])
-        begin, end = (layout.contacts_of_robot(i) for i in (robots[0], robots[-1]))
+        begin, end = (layout.contacts_of_blocks_of(i) for i in (robots[0], robots[-1]))
         rows = slice(begin.start, end.stop)
         first = {name: d.start - joints.start for name, d in of_robots.items()}
         M = group_inertia(data, robots)
@@ -320,7 +320,7 @@ class _Group(NamedTuple):
 
 
 class _BaseBalance(NamedTuple):
-    """The equations of floating bases, which joints with the world hold or do not hold.
+    """The equations of floating bases, which the world or other robots hold or do not hold.
 
     They are divided by the inertia of the bases, so that all are accelerations.
     """
@@ -344,19 +344,20 @@ class _BaseBalance(NamedTuple):
         return cls(rows, carriers, scale, directions, across)
 
     def forces(self, wanted: np.ndarray) -> np.ndarray:
-        """Forces of least norm of the joints with the world for wrenches (6 b,) on the bases."""
+        """Forces of least norm of the joints that hold the bases, for wrenches (6 b,) on these."""
         return np.linalg.lstsq(self.directions, self.scale * wanted, rcond=BLOCK_RANK_TOLERANCE)[0]
 
 
 def _carriers(model: Model, group: _Group) -> np.ndarray:
     """Rows of a group, counted from its first one, that carry floating bases.
 
-    They are those of its joints with the world.
+    They are those of its joints with the world, and of those between its robots.
     """
     layout, rows, first = model.layout, [], group.rows.start
     for name, pair in model.connections.items():
         of_pair = layout.contacts_of(layout.owners.index(name))
-        if group.first.keys() & pair.robots and WORLD in (pair.first, pair.second):
+        holds = WORLD in (pair.first, pair.second) or len(pair.robots) > 1
+        if holds and group.first.keys() & pair.robots:
             records = zip(range(of_pair.start, of_pair.stop), model.records[of_pair], strict=True)
             rows += [k - first for k, record in records if isinstance(record, Contact)]
     return np.array(rows, dtype=int)

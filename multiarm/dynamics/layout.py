@@ -286,13 +286,13 @@ class Layout:
         """The owners of the rows of a block."""
         return range(bisect_left(self.block_of, i), bisect_right(self.block_of, i))
 
-    def contacts_of_robot(self, i: int) -> slice:
-        """Contacts of the blocks of a robot among all contacts."""
+    def contacts_of_blocks_of(self, i: int) -> slice:
+        """Contacts of a robot's blocks, and so of robots joined to it, among all contacts."""
         blocks = self.blocks_of(i)
         return slice(self.first_of_block[blocks.start], self.first_of_block[blocks.stop])
 
-    def owners_of_robot(self, i: int) -> range:
-        """The owners of the rows of a robot's blocks."""
+    def owners_of_blocks_of(self, i: int) -> range:
+        """The owners of the rows of a robot's blocks, and so of robots joined to it."""
         blocks = self.blocks_of(i)
         firsts = [bisect_left(self.block_of, block) for block in (blocks.start, blocks.stop)]
         return range(*firsts)

@@ -103,7 +103,7 @@ def _nearest(data: Data, i: int) -> str:
     Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     robot, of_block = layout.robots_of_block(i)[0], layout.contacts_of_block(i)
-    rows = layout.contacts_of_robot(layout.names.index(robot))
+    rows = layout.contacts_of_blocks_of(layout.names.index(robot))
     of_robot = np.zeros((rows.stop - rows.start, 1))
     of_robot[of_block.start - rows.start : of_block.stop - rows.start, 0] = directions[-1]
     return "; ".join(describe(data, robot, of_robot))

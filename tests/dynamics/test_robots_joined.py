@@ -94,6 +94,7 @@ def three_arms(joints: list[tuple[str, str, str]], **more: Any) -> dict[str, Any
     return scene
 
 
+FLOATS = {"moves": "free", "mass": 20.0, "inertia": [2.0, 2.0, 2.0]}
 RING = [("a", "b", "ball"), ("b", "c", "revolute"), ("c", "a", "ball")]
 CHAIN = [("a", "b", "revolute"), ("b", "c", "weld")]
 SCENES = {
@@ -173,3 +174,27 @@ def test_evaluations_certify_themselves(family, tmp_path):
         assert ev.residuals.object < 1e-11 * size, f"seed {seed}"
         assert ev.residuals.arm < 1e-11 * size, f"seed {seed}"
         assert ev.residuals.constraint < 1e-9, f"seed {seed}"
+
+
+def test_inverse_dynamics_hold_a_robot_that_floats_and_another_holds():
+    """One is welded to the world, the other to its hand; a box hangs on both."""
+    posture = [0.3, -1.2, 1.4, 0.3, 0.4, 0.2]
+    robots = {
+        name: {"robot": "ur5", "base": base | FLOATS, "posture": posture, "tips": {"hand": "tool0"}}
+        for name, base in (("f", {"xyz": [0.6, 0, 0.5]}), ("g", {"xyz": [0, 1, 0.5]}))
+    }
+    joints = [
+        {"between": ["f/base_link", "world"], "kind": "weld", "name": "ground"},
+        {"between": ["f/hand", "g/hand"], "kind": "weld"},
+        {"arm": "f/hand", "kind": "weld"},
+    ]
+    box = {"shape": {"box": [0.3, 0.2, 0.1]}, "mass": 2.0, "pose": {"xyz": [0, 0.3, 0.6]}}
+    scene = {"gravity": DOWN, "object": box, "robots": robots, "joints": joints}
+    system = ma.compile_system(parse_scene(scene))
+    state = system.initial_state()
+    inverse = ma.inverse_dynamics(system, state=state, object_acceleration=np.zeros(6))
+    driven = system.with_control(lambda t, state: dict(inverse.torques))
+    for ev in (inverse, ma.evaluate(driven, state=state)):
+        for accelerations in (ev.joint_accelerations, ev.base_accelerations):
+            for values in accelerations.values():
+                np.testing.assert_allclose(values, 0.0, atol=1e-8)
