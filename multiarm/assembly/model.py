@@ -227,9 +227,8 @@ def _constants(
 
 def _floating_bases(layout: Layout, backends: Backends) -> FloatingBases:
     """``Constants.floating_bases``."""
-    blocks = [layout.blocks_of(i)[0] for i in layout.floating_robots]
     robots = np.array(layout.floating_robots, dtype=np.int64)
-    return FloatingBases(robots, np.array(blocks, dtype=np.int64), backends.base_slots)
+    return FloatingBases(robots, backends.base_slots)
 
 
 def _circular(robots: Mapping[str, Robot]) -> np.ndarray:

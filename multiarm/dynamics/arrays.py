@@ -77,7 +77,6 @@ class FloatingBases(NamedTuple):
     """The B floating bases of robots."""
 
     robot: Ints1  # (B,)
-    block: Ints1  # (B,)
     # (B,) of its pose in Pinocchio's configuration: position, quaternion xyzw; -1: compiled
     slot: Ints1
 

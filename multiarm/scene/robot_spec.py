@@ -291,13 +291,7 @@ def examine_robot(spec: RobotSpec, links: Iterable[str] = ()) -> Examination:
     foot = base[-1].name if base else FLOATING_BASE if spec.base.floats else ""
     examination.carriers = _carriers(outline, foot, {joint.name for joint in free})
     examination.moving = tuple(examination.carriers)
-    for name, link in spec.tips.items():
-        if link in outline.links and link not in examination.carriers:
-            examination.add_fault("tips", name, text=f"no joint that moves carries link {link!r}")
-    if not moving and not spec.base.floats and not spec.tips:
-        held = "'lock' holds all of its joints" if spec.lock else "its file has no joint that moves"
-        text = f"nothing of it moves: {held}; let one of them move, or the base, with 'moves'"
-        examination.add_fault("lock" if spec.lock else "base", text=text)
+    _check_that_it_moves(spec, outline, examination)
     check_passive(spec.passive, moving, examination)
     locked = locked_positions(spec.lock, joints, free, examination)
     _warn_of_held_followers(spec, on_way, joints, locked, examination)
@@ -380,6 +374,17 @@ def _base_fault(spec: RobotSpec, name: str) -> str:
     else:
         remedy = "this base has no such joint"
     return f"{name!r} is a joint of the base, and 'lock' holds those of the robot's file; {remedy}"
+
+
+def _check_that_it_moves(spec: RobotSpec, outline: RobotOutline, examination: Examination) -> None:
+    """Note tips that rest, or that the whole robot does."""
+    for name, link in spec.tips.items():
+        if link in outline.links and link not in examination.carriers:
+            examination.add_fault("tips", name, text=f"no joint that moves carries link {link!r}")
+    if not (examination.carriers or spec.tips):
+        held = "'lock' holds all of its joints" if spec.lock else "its file has no joint that moves"
+        text = f"nothing of it moves: {held}; let one of them move, or the base, with 'moves'"
+        examination.add_fault("lock" if spec.lock else "base", text=text)
 
 
 def _last_links(spec: RobotSpec, outline: RobotOutline) -> tuple[str, ...]:
