@@ -25,7 +25,7 @@ import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import Code, belongs_to_joints, rolls
-from multiarm.dynamics.contact_geometry import block_inertia, force_directions
+from multiarm.dynamics.contact_geometry import block_inertias, force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
@@ -141,19 +141,17 @@ class Linkage:
         if self.with_object:
             frames = self._layout.of_frames
             L[frames, frames] = np.linalg.cholesky(b.bodies.object_inertia)
+        inertias = block_inertias(self._data)
         for i, (_, c) in zip(self._arms, self.blocks, strict=True):
-            L[c, c] = self._factor(i, c.stop - c.start)
+            L[c, c] = self._factor(i, inertias[i])
         gaps = self._data.contact_rows.gap[self.rows]
         return Posture(b.state.configuration.copy(), gaps, J * self.unit, self.unit[:, None] * L)
 
-    def _factor(self, i: int, n: int) -> np.ndarray:
-        data = self._data
-        if not n:  # the surroundings
-            return np.zeros((0, 0))
+    def _factor(self, i: int, inertia: np.ndarray) -> np.ndarray:
         try:
-            return np.linalg.cholesky(block_inertia(data, i))
+            return np.linalg.cholesky(inertia)
         except np.linalg.LinAlgError:
-            raise SolverError(inertia_text(data.model, i)) from None
+            raise SolverError(inertia_text(self._data.model, i)) from None
 
     def place(self, posture: Posture, u: np.ndarray | None = None) -> None:
         """Write a posture, displaced by ``u``, and its kinematics into the data."""

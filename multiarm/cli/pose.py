@@ -41,12 +41,11 @@ def pose(scene: SceneFile, no_code: NoCode = False) -> None:
 
     system = compile_system(loaded)
     positions = system.initial_state().joint_positions
+    solved: dict[str, ArmSpec | RobotSpec] = {**system.scene.arms, **system.scene.robots}
     for name in open_ones:
         if name not in positions:  # an arm on a trunk that moves
             text = f"posture: {_written(_of_robot(system, loaded.group_of(name), name))}"
         else:
-            solved: dict[str, ArmSpec | RobotSpec]
-            solved = {**system.scene.arms, **system.scene.robots}
             base = _base(robots[name], solved[name])
             text = f"{base}posture: {_written(positions[name])}"
         output().print(f"{name}: {{{text}}}", markup=False, soft_wrap=True)

@@ -23,7 +23,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from multiarm.dynamics.arrays import CalledFunction, open_data, table_of
-from multiarm.dynamics.kinematics import inertia_in
+from multiarm.dynamics.kinematics import inertias_in
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.solver.dense import solve_dense
 from multiarm.dynamics.solver.node import NodeWork
@@ -224,7 +224,7 @@ class DenseSolver:
         b, work = self._data.arrays, self._data.work
         dofs = work.first_joint
         blocks = range(len(dofs) - 1)
-        inertias = [inertia_in(work, i) for i in blocks]
+        inertias = inertias_in(work)
         terms = b.bodies.object_inertia, b.rows.W_o, work.W, b.rows.c, b.forces.f
         b.dense.status, b.status.block = _status_of(b.bodies.object_inertia, inertias, terms)
         if b.dense.status != OK:

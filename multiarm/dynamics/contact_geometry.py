@@ -32,7 +32,7 @@ from multiarm.dynamics.data import Data, Evaluated
 from multiarm.dynamics.equations import update_kinematics, write_inertias
 from multiarm.dynamics.failures import is_tip_of_arm, owner_of, require_ok
 from multiarm.dynamics.guard_functions import depth_on_body, packed_patch
-from multiarm.dynamics.kinematics import inertia_in
+from multiarm.dynamics.kinematics import inertias_in
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.dense import null_space, reciprocal_lengths
 from multiarm.dynamics.state import State
@@ -191,22 +191,10 @@ def scaled_force_directions(data: Evaluated) -> np.ndarray:
     return force_directions(data) / scale[:, None]
 
 
-def block_inertia(data: Data, i: int) -> np.ndarray:
-    """Inertia of a block at the last terms of its robots, symmetric, shape (n, n)."""
+def block_inertias(data: Data) -> list[np.ndarray]:
+    """Inertias of all blocks at the last terms of the robots, symmetric, shape (n, n) each."""
     write_inertias(data.struct)
-    return inertia_in(data.work, i)
-
-
-def group_inertia(data: Data, robots: range) -> np.ndarray:
-    """Inertia of the joints of one of ``Layout.robot_groups``, symmetric, shape (n, n)."""
-    layout = data.model.layout
-    first, end = layout.first_joint[robots.start], layout.first_joint[robots.stop]
-    inertia = np.zeros((end - first,) * 2)
-    for block in range(layout.blocks_of(robots[0]).start, layout.blocks_of(robots[-1]).stop):
-        d = layout.joints_of_block(block)
-        part = slice(d.start - first, d.stop - first)
-        inertia[part, part] = block_inertia(data, block)
-    return inertia
+    return inertias_in(data.work)
 
 
 def robot_matrix(data: Evaluated, i: int) -> np.ndarray:

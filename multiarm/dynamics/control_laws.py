@@ -122,7 +122,8 @@ class ControlLaw:
     share_derivative : Kernel, optional
         Like ``derivative``, at fixed multipliers, see above.
     reads_inertias : bool
-        Whether it reads the inertias of blocks, ``work.M``.
+        Whether it reads the inertias of blocks, ``work.M``, after it had them written
+        (:func:`multiarm.dynamics.solver.factored_trees.complete_inertias`).
     """
 
     kernel: Kernel

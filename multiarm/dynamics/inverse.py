@@ -52,7 +52,7 @@ CUHK 1995, section 3.10.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -62,14 +62,14 @@ from multiarm.contacts.matrices import gripper_acceleration, relative_wrenches
 from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.dynamics.connections import Connection
-from multiarm.dynamics.contact_geometry import force_directions, group_inertia, relative_motion
+from multiarm.dynamics.contact_geometry import block_inertias, force_directions, relative_motion
 from multiarm.dynamics.control_laws import NO_CONTROL
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import Evaluation, Residuals, evaluate, residuals_of
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.internal_forces import InternalForces, distribute, internal_forces
-from multiarm.dynamics.layout import TWIST
+from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import BLOCK_RANK_TOLERANCE, IMMOVABLE, MISSED_MOTION
 from multiarm.dynamics.solver.dense import null_space
@@ -193,9 +193,10 @@ def _solve(
     force = _contact_forces(data, b.bodies.object_inertia @ desired - f_o, internal_forces, basis)
     a_j, torque = np.zeros(layout.rate_count), np.zeros(layout.rate_count)
     missed = _missed_by_objects(data, c, desired)
+    inertias, directions = block_inertias(data), force_directions(data)
     accelerations = dict(zip(layout.objects, np.reshape(desired, (-1, TWIST)), strict=True))
     for robots in layout.robot_groups:
-        group = _Group.of(data, robots)
+        group = _Group.of(layout, robots, inertias, directions)
         d, r, names = group.joints, group.rows, [layout.names[i] for i in robots]
         A, a = _desired_motion(data, group, ev, accelerations, relative)
         A, a = _with_idle_joints(data.model, group, free[d], A, a)
@@ -215,7 +216,7 @@ def _solve(
             missed.append(f"{robots_in_words} {verb} it by {left:.3g} m/s^2, rad/s^2")
         torque[d] = group.M @ a_j[d] - free[d] - group.W @ force[r]
     if not missed and layout.passive_joints:
-        missed = _carry_passive_joints(data, force, torque)
+        missed = _carry_passive_joints(data.model, directions, force, torque)
     if missed:
         key = "arm" if set(data.model.connections) == set(data.model.robots) else "connection"
         raise SolverError(
@@ -265,14 +266,16 @@ def _with_idle_joints(
     return np.vstack([A, across @ group.M[passive]]), np.append(a, across @ free[passive])
 
 
-def _carry_passive_joints(data: Data, force: np.ndarray, torque: np.ndarray) -> list[str]:
+def _carry_passive_joints(
+    model: Model, directions: np.ndarray, force: np.ndarray, torque: np.ndarray
+) -> list[str]:
     """Let contact forces (N,) take over the torques (n,) of passive joints; what is left, in words.
 
-    The wrenches on the objects stay.
+    The wrenches on the objects stay.  ``directions`` are those of all contact forces.
     """
-    model, layout = data.model, data.model.layout
+    layout = model.layout
     rows, passive = list(model.contacts_of_object), list(layout.passive_joints)
-    directions = force_directions(data)[:, rows]
+    directions = directions[:, rows]
     idle = directions[layout.of_joints][passive]
     stacked = np.vstack([directions[layout.of_frames], idle])
     sizes = np.linalg.norm(stacked, axis=1)
@@ -308,15 +311,24 @@ class _Group(NamedTuple):
     W: np.ndarray  # (n, N)
 
     @classmethod
-    def of(cls, data: Data, robots: range) -> _Group:
-        layout, W = data.model.layout, force_directions(data)
-        of_robots = {layout.names[i]: layout.joints_of(i) for i in robots}
-        joints = slice(layout.first_joint[robots[0]], layout.first_joint[robots[-1] + 1])
-        begin, end = (layout.contacts_of_blocks_of(i) for i in (robots[0], robots[-1]))
-        rows = slice(begin.start, end.stop)
-        first = {name: d.start - joints.start for name, d in of_robots.items()}
-        M = group_inertia(data, robots)
-        return cls(first, joints, rows, M, W[layout.of_joints][joints, rows])
+    def of(
+        cls,
+        layout: Layout,
+        robots: range,
+        inertias: Sequence[np.ndarray],
+        directions: np.ndarray,
+    ) -> _Group:
+        """``inertias`` are those of all blocks, ``directions`` those of all contact forces."""
+        blocks = slice(layout.blocks_of(robots[0]).start, layout.blocks_of(robots[-1]).stop)
+        firsts, rows = layout.first_joint_of_block, layout.first_of_block
+        joints = slice(firsts[blocks.start], firsts[blocks.stop])
+        contacts = slice(rows[blocks.start], rows[blocks.stop])
+        first = {layout.names[i]: layout.first_joint[i] - joints.start for i in robots}
+        M = np.zeros((joints.stop - joints.start,) * 2)
+        for begin, inertia in zip(firsts[blocks], inertias[blocks], strict=True):
+            part = slice(begin - joints.start, begin - joints.start + len(inertia))
+            M[part, part] = inertia
+        return cls(first, joints, contacts, M, directions[layout.of_joints][joints, contacts])
 
 
 class _BaseBalance(NamedTuple):

@@ -446,8 +446,7 @@ def load_inertia(i, data, work):
             M[a, b] = inertia[a * stride + b]
 
 
-def inertia_in(work: NodeWork, i: int) -> np.ndarray:
-    """A copy of the inertia of a block in ``work.M``, symmetric, shape (n, n)."""
-    n = work.first_joint[i + 1] - work.first_joint[i]
-    lower = np.tril(work.M[i, :n, :n])
-    return lower + np.tril(lower, -1).T
+def inertias_in(work: NodeWork) -> list[np.ndarray]:
+    """Copies of the inertias of all blocks in ``work.M``, symmetric, shape (n, n) each."""
+    lower = [np.tril(M[:n, :n]) for M, n in zip(work.M, np.diff(work.first_joint), strict=True)]
+    return [L + np.tril(L, -1).T for L in lower]

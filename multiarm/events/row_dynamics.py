@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.contact_geometry import block_inertia, force_directions
+from multiarm.dynamics.contact_geometry import block_inertias, force_directions
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import (
@@ -73,8 +73,7 @@ class RowDynamics:
     def mobility(self, jacobian: np.ndarray) -> np.ndarray:
         """Rate of each row due to a unit force on it without held rows, shape (len(jacobian),)."""
         full = self.full
-        bodies = [full.arrays.bodies.object_inertia]
-        bodies += [block_inertia(full, i) for i in range(full.model.layout.block_count)]
+        bodies = [full.arrays.bodies.object_inertia, *block_inertias(full)]
         total, first = np.zeros(len(jacobian)), 0
         for inertia in bodies:
             columns = jacobian[:, first : first + len(inertia)].T

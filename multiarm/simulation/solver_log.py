@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.dynamics.contact_geometry import block_inertia
+from multiarm.dynamics.contact_geometry import block_inertias
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.diagnosis import describe, is_serial_arm, lost_motions
 from multiarm.dynamics.equations import update_kinematics
@@ -99,8 +99,8 @@ def _nearest(data: Data, i: int) -> str:
     """Text for the direction in which a block moves least."""
     work, layout = data.work, data.model.layout
     d, m = layout.joint_counts[i], layout.contact_counts[i]
-    inertia = block_inertia(data, i)
-    Y = np.linalg.solve(np.linalg.cholesky(inertia), work.W[i, :d, :m])
+    inertias = block_inertias(data)
+    Y = np.linalg.solve(np.linalg.cholesky(inertias[i]), work.W[i, :d, :m])
     _, _, directions = np.linalg.svd(Y)
     robot, of_block = layout.robots_of_block(i)[0], layout.contacts_of_block(i)
     rows = layout.contacts_of_blocks_of(layout.names.index(robot))

@@ -13,7 +13,7 @@ from mechanics import data_of
 from tree_scenes import DOWN, hinge_urdf, link_urdf
 
 import multiarm as ma
-from multiarm.dynamics.contact_geometry import block_inertia
+from multiarm.dynamics.contact_geometry import block_inertias
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.solver.tree_tables import open_tree
 from multiarm.errors import SolverError
@@ -70,14 +70,13 @@ def test_factors_and_entries_of_inertias_say_the_same(name, rng):
     np.testing.assert_allclose(compiled.accelerations, exact.accelerations, atol=1e-10 * scale)
     assert (
         compiled.residuals.arm
-        < 1e-10 * np.max(np.abs(block_inertia(data_of(systems[0]), 0))) * scale
+        < 1e-10 * np.max(np.abs(block_inertias(data_of(systems[0]))[0])) * scale
     )
     data, pinocchio = map(data_of, systems)
     trees = [open_tree(row) for row in data.work.trees.block]
     assert [tree.factors != 0 for tree in trees] == factored
-    for i in range(data.model.layout.block_count):
-        M = block_inertia(pinocchio, i)
-        np.testing.assert_allclose(block_inertia(data, i), M, atol=1e-11 * np.max(np.abs(M)))
+    for made, M in zip(block_inertias(data), block_inertias(pinocchio), strict=True):
+        np.testing.assert_allclose(made, M, atol=1e-11 * np.max(np.abs(M)))
     momenta = [np.empty_like(state.velocity) for _ in systems]
     for data, written in zip(map(data_of, systems), momenta, strict=True):
         write_momenta(data.struct, written)

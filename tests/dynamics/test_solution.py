@@ -9,7 +9,7 @@ from mechanics import UR5_WRIST_SINGULAR, data_of, two_arm_block_twice, ur5_pair
 from scipy.linalg import block_diag
 
 import multiarm as ma
-from multiarm.dynamics.contact_geometry import block_inertia, constraint_matrix
+from multiarm.dynamics.contact_geometry import block_inertias, constraint_matrix
 from multiarm.dynamics.equations import evaluate_state, solve_frictionless
 from multiarm.dynamics.momenta import write_momenta
 from multiarm.dynamics.solver.dense import null_space
@@ -124,7 +124,7 @@ def test_momenta_are_inertias_times_velocities(rng):
     state.velocity[:] = rng.normal(size=state.velocity.size)
     ma.evaluate(system, 0.0, state)
     data = data_of(system)
-    arms = [block_inertia(data, i) for i in range(data.model.layout.block_count)]
+    arms = block_inertias(data)
     momenta = np.empty_like(state.velocity)
     write_momenta(data.struct, momenta)
     inertia = block_diag(data.arrays.bodies.object_inertia, *arms)

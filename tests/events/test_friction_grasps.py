@@ -7,7 +7,7 @@ import pytest
 from event_scenes import GRAVITY, MASS, SQUEEZE, held_box, lifting, times
 
 import multiarm as ma
-from multiarm.dynamics.contact_geometry import block_inertia
+from multiarm.dynamics.contact_geometry import block_inertias
 from multiarm.events.evaluation import enter_mode_at
 
 
@@ -90,7 +90,7 @@ def test_conditioning_of_sliding_hands_is_that_of_the_held_contacts():
                 np.diff(held.work.first_joint)[i],
                 np.diff(held.work.first_contact)[i],
             )
-            M = block_inertia(held, i)
+            M = block_inertias(held)[i]
             W = held.work.W[i, :joints, :contacts]
             K = W.T @ np.linalg.solve(M, W)
             scale = np.sqrt(np.diag(K))

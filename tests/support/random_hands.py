@@ -14,7 +14,7 @@ from random_systems import Box, System, decades, draw_tilt, turned, unit
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.dynamics.contact_geometry import block_inertia
+from multiarm.dynamics.contact_geometry import block_inertias
 from multiarm.dynamics.solver.dense import SystemSolution
 
 FAR = 1000.0  # [m]
@@ -144,7 +144,7 @@ def evaluated(scene: ma.Scene, solver: str, arms: str) -> tuple[System, SystemSo
     W = [work.W[i, :d, : rows[i + 1] - rows[i]].copy() for i, d in enumerate(dofs)]
     system = System(
         M_o=b.bodies.object_inertia.copy(), f_o=b.forces.f_o.copy(),
-        M=[block_inertia(data, i) for i in range(dofs.size)],
+        M=block_inertias(data),
         f_j=np.split(b.forces.f_j.copy(), work.first_joint[1:-1]),
         c=np.split(b.rows.c.copy(), rows[1:-1]),
         W_o=W_o, W=W, reaction_o=W_o, reaction=W, lever=size,
