@@ -118,7 +118,8 @@ def compile_system(
     if control is None:
         model = with_control(model, control_law(scene, data, start))
     system = System(scene, model, report, start, start_warnings if assemble else None)
-    system.keep(data.view(model))
+    if model.reads_inertias == data.model.reads_inertias:  # else it has other terms of the robots
+        system.keep(data.view(model))
     return system if control is None else system.with_control(control, sample_time, sample_delay)
 
 

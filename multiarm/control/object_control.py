@@ -72,7 +72,6 @@ from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
 from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.dynamics.solver.factored_trees import complete_inertias
 from multiarm.errors import ControlError
 from multiarm.jit.kernels import Kernel, cfunc, clear, kernel
 from multiarm.jit.structs import struct_at
@@ -194,7 +193,6 @@ def add_motion_forces(law, command, feedforward, model, data, work):
 
     ``feedforward`` as in :func:`multiarm.control.null_space.hold_poses`.
     """
-    complete_inertias(work)
     # there are no derivatives in closed form of the accelerations of followers, nor of forces that
     # take the place of drives
     followed = feedforward and law.objects.size < data.state.poses.shape[0]

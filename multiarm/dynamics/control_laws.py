@@ -122,8 +122,8 @@ class ControlLaw:
     share_derivative : Kernel, optional
         Like ``derivative``, at fixed multipliers, see above.
     reads_inertias : bool
-        Whether it reads the inertias of blocks, ``work.M``, after it had them written
-        (:func:`multiarm.dynamics.solver.factored_trees.complete_inertias`).
+        Whether it reads the inertias of blocks, ``work.M``: these are then written in every
+        evaluation, and no block is eliminated by factors.
     """
 
     kernel: Kernel

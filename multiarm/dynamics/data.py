@@ -148,8 +148,7 @@ class SharedData:
 
         None where every evaluation reads their inertias.
         """
-        constants = model.constants
-        if constants.dense or model.unilateral or any(law.reads_inertias for law in model.laws):
+        if model.reads_inertias:
             return set()
         with_factors = fields_of(TermAddresses, self._backends.pointers).factors.tolist()
         blocks = [

@@ -188,6 +188,12 @@ class Model:
         return self.robots[self.arm_names[i]].velocity_names[joint - self.layout.first_joint[i]]
 
     @property
+    def reads_inertias(self) -> bool:
+        """Whether every evaluation reads the inertias of blocks, so that factors are of no use."""
+        by_laws = any(law.reads_inertias for law in self.laws)
+        return self.constants.dense or self.unilateral is not None or by_laws
+
+    @property
     def joint_names(self) -> list[str]:
         """All joints as ``robot/joint``, in the order of the stacked vectors.
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mechanics import data_of
-from tree_scenes import DOWN, hinge_urdf, link_urdf
+from tree_scenes import DOWN, cart_scene, hinge_urdf, link_urdf
 
 import multiarm as ma
 from multiarm.dynamics.contact_geometry import block_inertias
@@ -81,6 +81,19 @@ def test_factors_and_entries_of_inertias_say_the_same(name, rng):
     for data, written in zip(map(data_of, systems), momenta, strict=True):
         write_momenta(data.struct, written)
     np.testing.assert_allclose(*momenta, atol=1e-11 * np.max(np.abs(momenta)))
+
+
+def test_a_law_that_reads_inertias_has_those_of_its_state(rng):
+    """From a system's first evaluation on, whose data may be those of its compilation."""
+    drawn = parse_scene({**cart_scene(), "control": {"kind": "computed_torque"}})
+    systems = [ma.compile_system(drawn, arms=arms) for arms in ("compiled", "pinocchio")]
+    state = systems[0].initial_state()
+    joints = state.layout.joint_positions(state.position)
+    joints += 0.1 * rng.normal(size=joints.size)
+    state.velocity[:] += 0.3 * rng.normal(size=state.velocity.size)
+    compiled, exact = (ma.evaluate(system, 0.0, state).accelerations for system in systems)
+    np.testing.assert_allclose(compiled, exact, atol=1e-10 * np.max(np.abs(exact)))
+    assert open_tree(data_of(systems[0]).work.trees.block[0]).factors == 0
 
 
 def test_a_joint_without_inertia_is_named(tmp_path):
