@@ -38,7 +38,7 @@ import numpy as np
 
 from multiarm.dynamics import layout as parts
 from multiarm.dynamics.layout import TWIST, Layout
-from multiarm.jit.kernels import inlined, kernel, plain
+from multiarm.jit.kernels import copy, inlined, kernel, plain
 from multiarm.spatial import difference as rotation_difference
 from multiarm.spatial import retract_into as retract_quaternion
 from multiarm.spatial import rotation_between, write_chart_rate
@@ -314,16 +314,12 @@ def write_chart_slope(z, data, slope):
             data.state.velocity[first + 3 : first + 6],
             slope[first + 3 : first + 6],
         )
-    for j in range(data.state.joint_rates.size):
-        slope[places.joints + j] = data.state.joint_rates[j]
+    copy(data.state.joint_rates, slope[places.joints : places.velocity])
     for b in range(data.state.floating_bases.size):
         first = data.state.floating_bases[b] + 3
         at = places.joints + first
         omega = data.state.joint_rates[first : first + 3]
         write_chart_rate(z[at : at + 3], omega, slope[at : at + 3])
-    for k in range(data.accelerations.a.size):
-        slope[places.velocity + k] = data.accelerations.a[k]
-    for k in range(data.effects.state_rates.size):
-        slope[places.states + k] = data.effects.state_rates[k]
-    for k in range(data.effects.power.size):
-        slope[places.works + k] = data.effects.power[k]
+    copy(data.accelerations.a, slope[places.velocity : places.states])
+    copy(data.effects.state_rates, slope[places.states : places.works])
+    copy(data.effects.power, slope[places.works :])

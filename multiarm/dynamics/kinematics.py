@@ -432,18 +432,26 @@ def load_inertias(data, work):
 def load_inertia(i, data, work):
     """Copy a block's inertia (lower triangle of the C-ordered view) into ``work.M``.
 
-    That of a block with factors is written where it is wanted
+    In packs, whose numbers above the diagonal mean nothing.  That of a block with factors is
+    written where it is wanted
     (:func:`multiarm.dynamics.solver.factored_trees.complete_inertias`).
     """
     d = work.first_joint[i + 1] - work.first_joint[i]
     addresses = open_addresses(data.bodies.pointers[i])
     if addresses.factors != 0:
         return
-    stride = addresses.stride
-    inertia, M = floats_at(addresses.inertia, d * stride), work.M[i]
+    stride, M = addresses.stride, work.M
+    inertia, row, block = floats_at(addresses.inertia, d * stride), M.shape[2], i * M[0].size
     for a in range(d):
-        for b in range(a + 1):
-            M[a, b] = inertia[a * stride + b]
+        if d < LANES:
+            for b in range(a + 1):
+                M[i, a, b] = inertia[a * stride + b]
+            continue
+        b = 0
+        while b <= a:
+            b = min(b, d - LANES)  # the last four may overlap those before
+            store_pack(M, block + a * row + b, load_pack(inertia, a * stride + b))
+            b += LANES
 
 
 def inertias_in(work: NodeWork) -> list[np.ndarray]:
