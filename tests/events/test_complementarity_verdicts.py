@@ -9,7 +9,7 @@ from laws import box, frictions, pushes, random_rows, violation
 from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
 from multiarm.events.complementarity.problem import build
 from multiarm.events.complementarity.solution import Motion, all_solutions, uniqueness
-from multiarm.events.complementarity.solvers import newton
+from multiarm.events.complementarity.solvers import iterate
 
 
 def rod(theta):
@@ -126,16 +126,16 @@ def test_one_contact_with_mild_friction_is_proven_unique_and_four_corners_are_no
 
 
 @pytest.mark.slow
-def test_gauss_seidel_helps_where_newton_runs_in_circles():
-    """Thirteen contacts on six freedoms, too many to try all modes."""
+def test_other_starts_help_where_newton_runs_in_circles():
+    """Thirteen contacts on six freedoms."""
     circles = 0
-    for seed in range(15):
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         A, a = random_rows(rng, 39, 6)
         A[::3] *= 2.0
         D, b, units = A @ A.T, A @ a, frictions(13, 0.4)
         problem = build(D, b, units)
-        circles += problem.residual(newton(problem, problem.without_force())) > 1e-6
+        circles += problem.residual(iterate(problem, attempts=1)) > 1e-6
         solution = solve(D, b, units)
         assert solution.verdict is Verdict.FOUND
         assert violation(D, b, units, solution.forces) < 1e-11

@@ -31,29 +31,40 @@ from multiarm.events.complementarity.semismooth import (
     rates,
 )
 from multiarm.events.complementarity.smoothing import follow_path
-from multiarm.jit.kernels import allocating, copy, kernel
+from multiarm.jit.kernels import (
+    INT,
+    INTS,
+    NUMBERS,
+    TABLE,
+    allocating,
+    copy,
+    kernel,
+    named_tuple_of,
+)
 
 # What a law is.
 PUSH, BOUNDED, FRICTION = 0, 1, 2
 
 # Where the attempts of Newton's method begin: at given forces; at the end of the path, along which
-# epsilon falls by this factor; or after so many Gauss-Seidel sweeps more; and the weight of rates.
+# epsilon falls by this factor; or after so many Gauss-Seidel sweeps more. Then the weight r of
+# rates, and rho of the proximal point method, beside a response with a diagonal of one.
 _GIVEN, _PATH, _SLIPS, _SWEEPS = range(4)
 ATTEMPTS = (
-    (_GIVEN, 0.0, 1.0),
-    (_PATH, 0.1, 1.0),
-    (_SWEEPS, 4.0, 1.0),
-    (_PATH, 0.3, 1.0),
-    (_SWEEPS, 16.0, 0.1),
-    *[(_SLIPS, 0.2, 1.0)] * 24,
-    (_SWEEPS, 64.0, 1.0),
-    (_SWEEPS, 256.0, 0.1),
-    (_SWEEPS, 1024.0, 1.0),
+    (_GIVEN, 0.0, 1.0, 1e-5),
+    (_PATH, 0.1, 1.0, 1e-6),
+    (_SWEEPS, 4.0, 1.0, 1e-5),
+    (_PATH, 0.3, 1.0, 1e-7),
+    (_SWEEPS, 16.0, 0.1, 1e-6),
+    *[(_SLIPS, 0.2, 1.0, 1e-6)] * 24,
+    (_SWEEPS, 64.0, 1.0, 1e-6),
+    (_SWEEPS, 256.0, 0.1, 1e-7),
+    (_SWEEPS, 1024.0, 1.0, 1e-6),
 )
 # Attempts after which a residual that the rounding of dependent rows leaves is not improved on.
 THOROUGH = 5
 # Convex problems after which the slips of the next are the mean of the last two.
 SLIPS_IN_FULL = 6
+LAWS = named_tuple_of(Laws, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, INTS, NUMBERS)
 # Gauss-Seidel has diverged when forces are so many times the scale.
 _DIVERGED = 1e8
 
@@ -120,17 +131,18 @@ def solve_impulses(D, b, kinds, rows, mu, lower, upper, x):
         z[i] = min(max(z[i], low[i]), high[i])
         for j in range(n):
             G[i, j] = s * D[place[i], place[j]] * scale[place[j]]
-    least, iterations = solve_laws(Laws(G, G, g, low, high, kind, coefficient), z)
+    laws = Laws(G, G, g, low, high, kind, coefficient)
+    least, iterations = solve_laws(laws, z, len(ATTEMPTS))
     for i in range(n):
         x[place[i]] = scale[place[i]] * z[i]
     return least, iterations
 
 
 @allocating
-def solve_laws(laws, z):
+def solve_laws(laws: LAWS, z: NUMBERS, attempts: INT):
     """Independent forces that obey the laws; ``z`` is where to begin and becomes the best found.
 
-    Returns its residual and the number of Newton steps.
+    Returns its residual and the number of Newton steps; of ``ATTEMPTS`` so many are made at most.
     """
     n = z.size
     work = NewtonWork(
@@ -145,8 +157,8 @@ def solve_laws(laws, z):
     )
     sweeping, slips, none = np.empty(n), np.zeros(n), -np.ones(n)
     least, iterations, convex = math.inf, 0, 0
-    for attempt in range(len(ATTEMPTS)):
-        kind, amount, weight = ATTEMPTS[attempt]
+    for attempt in range(attempts):
+        kind, amount, r, rho = ATTEMPTS[attempt]
         if kind == _GIVEN:
             copy(z, work.z)
         elif kind == _SWEEPS:
@@ -156,7 +168,7 @@ def solve_laws(laws, z):
         if kind == _SLIPS:
             _follow(laws, 1.0 if convex < SLIPS_IN_FULL else 0.5, slips, work)
             convex += 1
-        residual, steps = newton(laws, weight, work)
+        residual, steps = newton(laws, r, rho, work)
         iterations += steps
         if residual < least or kind == _GIVEN:
             least = residual

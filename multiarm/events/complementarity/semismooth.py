@@ -20,7 +20,8 @@ quadratically (Alart and Curnier, CMAME 92, 1991).
 point method (Rockafellar, SIAM J. Control Optim. 14, 1976): :math:`G + \rho I` takes the place of
 G, and :math:`g - \rho z_k` that of g, with :math:`z_k` the forces before the step. Where the
 iteration ends nothing of :math:`\rho` is left in the equations; of all forces that give the same
-motion it finds some near to those where it began.
+motion it finds some near to those where it began. A small :math:`\rho` takes fewer steps where
+responses are nearly singular; a large one lets less of the rounding into forces that move nothing.
 
 **Gauss-Seidel.** One law after the other is solved exactly, the other forces as they are: the
 normal force, then the friction that minimises :math:`x^T A x / 2 + q^T x` on its disk. Slow but
@@ -32,22 +33,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from multiarm.events.complementarity.problem import ROUNDED_RESIDUAL
+from multiarm.events.complementarity.problem import GROWN, ROUNDED_RESIDUAL
 from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.structs import Floats1, Floats2, Ints1
 
 # What an independent force is.
 SINGLE, NORMAL, TANGENT = 0, 1, 2
 
-# Of the proximal point method, beside a response with a diagonal of one.
-PROXIMITY = 1e-6
 # Newton steps from one start, and those that may go by without progress.
 STEPS, IDLE_STEPS = 25, 8
 # Residuals below this do not get smaller.
 LEAST_RESIDUAL = 1e-14
-# The scale is that of ``Problem.size``, but at most so many times the largest free rate: forces
-# that grow without end, against rates that contradict each other, do not pass for a solution.
-GROWN = 1e6
 # Responses below this are none.
 _NONE = 1e-14
 
@@ -82,7 +78,7 @@ class NewtonWork(NamedTuple):
 
 @kernel
 def rates(laws, z, w):
-    """Write ``w = G z + g``; returns the scale of the problem."""
+    """Write ``w = G z + g``; returns the scale, see ``Problem.size``."""
     size, free = 0.0, 0.0
     for i in range(z.size):
         rate, terms = laws.g[i], abs(laws.g[i])
@@ -121,7 +117,7 @@ def residual(laws, z, w):
 
 
 @kernel
-def newton(laws, r, work):
+def newton(laws, r, rho, work):
     """Steps from ``work.z``; ``work.best`` is the best point met.
 
     Returns its residual and the number of steps.
@@ -140,7 +136,7 @@ def newton(laws, r, work):
             copy(z, best)
         if settled or now == math.inf or least <= LEAST_RESIDUAL:
             break
-        if idle > IDLE_STEPS or steps == STEPS or not _newton_step(laws, r, work):
+        if idle > IDLE_STEPS or steps == STEPS or not _newton_step(laws, r, rho, work):
             break
         steps += 1
         for i in range(z.size):
@@ -149,7 +145,7 @@ def newton(laws, r, work):
 
 
 @kernel
-def _newton_step(laws, r, work):
+def _newton_step(laws, r, rho, work):
     """Write the step of the equations of the present modes; False where they are singular."""
     z, w, step, row, right = work.z, work.w, work.step, work.row, work.right
     free = _set_to_bounds(laws, r, work)
@@ -169,12 +165,12 @@ def _newton_step(laws, r, work):
                 d1, d2, turn = p1 / length, p2 / length, radius / length
         if slips:
             side = 0 if first else 1
-            _slip_row(laws, r, i - 1 - side, side, d1, d2, turn, row)
+            _slip_row(laws, r, rho, i - 1 - side, side, d1, d2, turn, row)
             right[k] = radius * (d1 if first else d2) - z[i]
         else:
             for j in range(z.size):
                 row[j] = laws.G[i, j]
-            row[i] += PROXIMITY
+            row[i] += rho
             right[k] = -w[i]
         _reduce(row, step, work.free, free, k, work.A, right)
     if not solve_linear(work.A, right, free):
@@ -210,14 +206,14 @@ def _set_to_bounds(laws, r, work):
 
 
 @inlined
-def _slip_row(laws, r, n, side, d1, d2, turn, row):
+def _slip_row(laws, r, rho, n, side, d1, d2, turn, row):
     """Write the derivative of one tangent's equation, the direction of slip among the unknowns."""
     along, across = (d1, -d2) if side == 0 else (d2, d1)
     response = laws.G
     for j in range(row.size):
         across_j = d1 * response[n + 2, j] - d2 * response[n + 1, j]
         row[j] = r * (laws.mu[n] * along * response[n, j] + turn * across * across_j)
-    own = 1.0 - r * PROXIMITY
+    own = 1.0 - r * rho
     row[n] -= laws.mu[n] * along * own
     row[n + 1] += turn * across * d2 * own
     row[n + 2] -= turn * across * d1 * own

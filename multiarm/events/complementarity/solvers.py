@@ -1,4 +1,4 @@
-r"""Forces that obey the contact laws: pivoting without friction, Newton's method with it.
+r"""Forces that obey the contact laws: by pivoting without friction, by iterations with it.
 
 **Pivoting.** With D symmetric and positive semidefinite the laws
 
@@ -14,21 +14,8 @@ equations are regular however singular D is. A force that grows without end, at 
 wrong, proves that there is no solution. (Cottle, Pang, Stone, chapter 4; for contacts Baraff, "Fast
 contact force computation for nonpenetrating rigid bodies", 1994.)
 
-**Newton.** The laws hold where the natural map is zero,
-
-.. math:: \Phi(z) = z - P(z - w(z)), \qquad w = G z + g,
-
-P the projection on bounds and on the disk :math:`|z_t| \le \mu p_n` of each contact. At a given z
-the argument :math:`p = z - w` gives the mode of every law, and the equation of that mode is linear
-(open: z = bound; closed, sticking: w = 0) or, for a contact that begins to slip in a direction not
-yet known, smooth:
-
-.. math:: z_t = \mu p_n d, \qquad d = p_t / |p_t|, \qquad
-          \delta d = \frac{1 - d d^T}{|p_t|} \, \delta p_t .
-
-A step solves the equations of the present modes. Once the modes are right it is exact, or converges
-quadratically (Alart and Curnier, CMAME 92, 1991). It may also cycle: then sweeps of projected
-Gauss-Seidel, slow but steady, give another start. The residual alone decides what is a solution.
+**With friction** the problem is not one of minimisation. Newton's method, smoothed paths and
+Gauss-Seidel sweeps find its solutions, see :mod:`~multiarm.events.complementarity.impulses`.
 """
 
 from __future__ import annotations
@@ -37,23 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.events.complementarity.problem import (
-    CONSISTENT,
-    RANK,
-    RESOLVED,
-    ROUNDED_RESIDUAL,
-    Cone,
-    Problem,
-)
+from multiarm.events.complementarity.impulses import ATTEMPTS, solve_laws
+from multiarm.events.complementarity.problem import CONSISTENT, RANK, ROUNDED_RESIDUAL, Problem
+from multiarm.events.complementarity.semismooth import NORMAL, SINGLE, TANGENT, Laws
 
 # Pivots allowed for each row: a handful is usual, more means that rounding makes it cycle.
 PIVOTS = 20
-# Newton steps from one start.
-STEPS = 25
-# Gauss-Seidel sweeps before each attempt of Newton's method, after the first from no force at all.
-SWEEPS = (0, 10, 100, 1000)
-# Forces of this many times the scale grow without bound.
-DIVERGED = 1e12
 
 
 def solve_box(
@@ -164,86 +140,18 @@ class _Pivoting:
         self.y = self.D @ self.x + self.b
 
 
-def iterate(problem: Problem) -> np.ndarray:
-    """Independent forces of a solution, or the best found; the residual says which."""
-    z = best = problem.without_force()
-    for sweeps in SWEEPS:
-        if sweeps >= 100 and problem.residual(best) <= RESOLVED:
-            break
-        z = gauss_seidel(problem, z, sweeps)
-        refined = newton(problem, z)
-        if problem.residual(refined) < problem.residual(best):
-            best = refined
-        if problem.residual(best) <= ROUNDED_RESIDUAL:
-            break
-    return best
+def iterate(
+    problem: Problem, start: np.ndarray | None = None, attempts: int = len(ATTEMPTS)
+) -> np.ndarray:
+    """Independent forces of a solution near ``start``, or the best found; the residual says which.
 
-
-def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
-    """Steps from a start until the residual is zero but for rounding; the best point met."""
-    best, least = z, problem.residual(z)
-    for _ in range(STEPS):
-        A, r = _linearise(problem, z)
-        z = z - np.linalg.lstsq(A, r, rcond=RANK)[0]
-        residual = problem.residual(z)
-        if not np.isfinite(residual):
-            break
-        settled = residual <= ROUNDED_RESIDUAL and residual >= 0.1 * least
-        if residual < least:
-            best, least = z, residual
-        if settled or least == 0.0:
-            break
-    return best
-
-
-def _linearise(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and value of the equations of the present modes."""
-    G = problem.G
-    w = G @ z + problem.g
-    p = z - w
-    bounded = np.clip(p, problem.lower, problem.upper)
-    at_bound = bounded != p
-    identity = np.eye(z.size)
-    A = np.where(at_bound[:, None], identity, G)
-    r = np.where(at_bound, z - bounded, w)
+    Of ``ATTEMPTS`` so many are made at most; the first is Newton's method from ``start``.
+    """
+    n = problem.g.size
+    kind, mu = np.full(n, SINGLE), np.zeros(n)
     for cone in problem.cones.values():
-        tangents = cone.tangents
-        radius, length = cone.mu * max(p[cone.normal], 0.0), np.hypot(*p[tangents])
-        if radius == 0.0:
-            A[tangents], r[tangents] = identity[tangents], z[tangents]
-        elif length > radius:
-            A[tangents], r[tangents] = _slip(cone, G, z, p)
-    return A, r
-
-
-def _slip(cone: Cone, G: np.ndarray, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of a contact that begins to slip, its direction among the unknowns."""
-    tangents, length = cone.tangents, np.hypot(*p[cone.tangents])
-    d, radius = p[tangents] / length, cone.mu * p[cone.normal]
-    dp = np.eye(z.size) - G
-    turn = (radius / length) * (np.eye(2) - np.outer(d, d))
-    rows = np.eye(z.size)[tangents] - cone.mu * np.outer(d, dp[cone.normal]) - turn @ dp[tangents]
-    return rows, z[tangents] - radius * d
-
-
-def gauss_seidel(problem: Problem, z: np.ndarray, sweeps: int) -> np.ndarray:
-    """One force after the other set to what its law demands, the others as they are."""
-    G, g, lower, upper = problem.G, problem.g, problem.lower, problem.upper
-    z = z.copy()
-    cones = problem.cones.values()
-    in_cones = {cone.normal + k for cone in cones for k in (1, 2)}
-    single = [k for k in range(z.size) if k not in in_cones and G[k, k] > RANK]
-    # the largest eigenvalue of the response of two tangents; one where nothing responds
-    blocks = [G[cone.tangents, cone.tangents] for cone in cones]
-    stiffest = [float(np.linalg.eigvalsh(block)[-1]) or 1.0 for block in blocks]
-    ceiling = DIVERGED * problem.size(z)
-    for _ in range(sweeps):
-        if not np.max(np.abs(z), initial=0.0) <= ceiling:
-            break  # friction feeds itself: Gauss-Seidel diverges
-        for k in single:
-            z[k] = min(max(z[k] - (G[k] @ z + g[k]) / G[k, k], lower[k]), upper[k])
-        for cone, eigenvalue in zip(cones, stiffest, strict=True):
-            tangents, radius = cone.tangents, cone.mu * z[cone.normal]
-            p = z[tangents] - (G[tangents] @ z + g[tangents]) / eigenvalue
-            z[tangents] = p * min(1.0, radius / max(np.hypot(*p), np.finfo(float).tiny))
+        kind[cone.normal], kind[cone.tangents], mu[cone.normal] = NORMAL, TANGENT, cone.mu
+    G, terms = np.ascontiguousarray(problem.G), np.ascontiguousarray(problem.terms)
+    z = problem.without_force() if start is None else start.copy()
+    solve_laws(Laws(G, terms, problem.g, problem.lower, problem.upper, kind, mu), z, attempts)
     return z
