@@ -16,6 +16,7 @@ every solution has the accuracy of rounding. The best point met is returned, wit
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ ATTEMPTS = (
 THOROUGH = 5
 # Convex problems after which the slips of the next are the mean of the last two.
 SLIPS_IN_FULL = 6
-LAWS = named_tuple_of(Laws, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, INTS, NUMBERS)
+LAWS: Any = named_tuple_of(Laws, TABLE, TABLE, NUMBERS, NUMBERS, NUMBERS, INTS, NUMBERS)
 # Gauss-Seidel has diverged when forces are so many times the scale.
 _DIVERGED = 1e8
 

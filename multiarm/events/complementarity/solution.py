@@ -275,11 +275,12 @@ def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
     ]
     choices = [np.concatenate(contacts), *contacts] if len(contacts) > 1 else contacts
     for columns in choices:
-        held = np.linalg.lstsq(problem.G[np.ix_(columns, columns)], -problem.g[columns], rcond=RANK)
-        loaded = [k for k in columns if k in problem.columns]
-        for forces, rows in ((held[0], columns), *((load * size, loaded) for load in LOADS)):
-            start = problem.without_force()
-            start[rows] = forces
+        among = np.ix_(columns, columns)
+        starts = [problem.without_force() for _ in range(1 + len(LOADS))]
+        starts[0][columns] = np.linalg.lstsq(problem.G[among], -problem.g[columns], rcond=RANK)[0]
+        for start, load in zip(starts[1:], LOADS, strict=True):
+            start[np.intersect1d(columns, problem.columns)] = load * size
+        for start in starts:
             _add_motion(problem, iterate(problem, start, attempts=1), solutions)
     return solutions
 
