@@ -10,7 +10,7 @@ from pressed import pressed_box
 from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
 from multiarm.events.complementarity.problem import build
 from multiarm.events.complementarity.solution import Motion, all_solutions, uniqueness
-from multiarm.events.complementarity.solvers import iterate
+from multiarm.events.complementarity.solvers import iterate, newton
 
 
 def rod(theta):
@@ -142,7 +142,7 @@ def test_other_starts_help_where_newton_runs_in_circles():
     rng, circles = np.random.default_rng(0), 0
     for _ in range(100):
         problem = build(*pressed_box(rng))
-        circles += problem.residual(iterate(problem, attempts=1)) > 1e-6
+        circles += problem.residual(newton(problem, problem.without_force())) > 1e-6
         assert problem.residual(iterate(problem)) < 1e-12
     assert circles > 1
 

@@ -7,8 +7,8 @@ takes the response of the rows, their free rates and contact laws
 same problem, with impulses for forces and velocities for accelerations.
 
 Without friction the problem is convex and is solved by pivoting, in finitely many steps, singular D
-included. With friction compiled iterations find the modes: Newton's method on the exact cones, as a
-proximal point method that takes redundant contacts as they are, with starts from smoothed laws
+included. With friction Newton's method on the exact cones finds the modes, and where it does not
+compiled iterations do: a proximal point method, smoothed laws, Gauss-Seidel sweeps
 (:mod:`~multiarm.events.complementarity.impulses`, which steps in time call with plain arrays).
 Where a solution need not exist, or need not be the only one (Painleve), others are looked for
 (:mod:`~multiarm.events.complementarity.solution`).

@@ -33,7 +33,6 @@ from multiarm.events.complementarity.semismooth import (
 )
 from multiarm.events.complementarity.smoothing import follow_path
 from multiarm.jit.kernels import (
-    INT,
     INTS,
     NUMBERS,
     TABLE,
@@ -133,17 +132,17 @@ def solve_impulses(D, b, kinds, rows, mu, lower, upper, x):
         for j in range(n):
             G[i, j] = s * D[place[i], place[j]] * scale[place[j]]
     laws = Laws(G, G, g, low, high, kind, coefficient)
-    least, iterations = solve_laws(laws, z, len(ATTEMPTS))
+    least, iterations = solve_laws(laws, z)
     for i in range(n):
         x[place[i]] = scale[place[i]] * z[i]
     return least, iterations
 
 
 @allocating
-def solve_laws(laws: LAWS, z: NUMBERS, attempts: INT):
+def solve_laws(laws: LAWS, z: NUMBERS):
     """Independent forces that obey the laws; ``z`` is where to begin and becomes the best found.
 
-    Returns its residual and the number of Newton steps; of ``ATTEMPTS`` so many are made at most.
+    Returns its residual and the number of Newton steps.
     """
     n = z.size
     work = NewtonWork(
@@ -158,7 +157,7 @@ def solve_laws(laws: LAWS, z: NUMBERS, attempts: INT):
     )
     sweeping, slips, none = np.empty(n), np.zeros(n), -np.ones(n)
     least, iterations, convex = math.inf, 0, 0
-    for attempt in range(attempts):
+    for attempt in range(len(ATTEMPTS)):
         kind, amount, r, rho = ATTEMPTS[attempt]
         if kind == _GIVEN:
             copy(z, work.z)

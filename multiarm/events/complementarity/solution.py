@@ -56,7 +56,7 @@ from multiarm.events.complementarity.problem import (
     build,
     matrix_rank,
 )
-from multiarm.events.complementarity.solvers import iterate, solve_box
+from multiarm.events.complementarity.solvers import iterate, newton, solve_box
 
 # Laws of a complete search, and choices of modes.
 FEW_LAWS, FEW_MODES = 8, 300
@@ -281,7 +281,7 @@ def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
         for start, load in zip(starts[1:], LOADS, strict=True):
             start[np.intersect1d(columns, problem.columns)] = load * size
         for start in starts:
-            _add_motion(problem, iterate(problem, start, attempts=1), solutions)
+            _add_motion(problem, newton(problem, start), solutions)
     return solutions
 
 

@@ -14,8 +14,11 @@ equations are regular however singular D is. A force that grows without end, at 
 wrong, proves that there is no solution. (Cottle, Pang, Stone, chapter 4; for contacts Baraff, "Fast
 contact force computation for nonpenetrating rigid bodies", 1994.)
 
-**With friction** the problem is not one of minimisation. Newton's method, smoothed paths and
-Gauss-Seidel sweeps find its solutions, see :mod:`~multiarm.events.complementarity.impulses`.
+**With friction** the problem is not one of minimisation. Newton's method solves the equations of
+the present modes (:mod:`~multiarm.events.complementarity.semismooth`), here with steps of minimum
+norm from singular values: where rows depend on each other the forces that it ends at depend on the
+problem alone, not on rounding. It may lose digits or cycle; then compiled iterations of more sorts
+find the modes (:mod:`~multiarm.events.complementarity.impulses`).
 """
 
 from __future__ import annotations
@@ -24,12 +27,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.events.complementarity.impulses import ATTEMPTS, solve_laws
-from multiarm.events.complementarity.problem import CONSISTENT, RANK, ROUNDED_RESIDUAL, Problem
+from multiarm.events.complementarity.impulses import solve_laws
+from multiarm.events.complementarity.problem import (
+    CONSISTENT,
+    RANK,
+    ROUNDED_RESIDUAL,
+    Cone,
+    Problem,
+)
 from multiarm.events.complementarity.semismooth import NORMAL, SINGLE, TANGENT, Laws
 
 # Pivots allowed for each row: a handful is usual, more means that rounding makes it cycle.
 PIVOTS = 20
+# Newton steps from one start.
+STEPS = 25
 
 
 def solve_box(
@@ -140,18 +151,70 @@ class _Pivoting:
         self.y = self.D @ self.x + self.b
 
 
-def iterate(
-    problem: Problem, start: np.ndarray | None = None, attempts: int = len(ATTEMPTS)
-) -> np.ndarray:
+def iterate(problem: Problem, start: np.ndarray | None = None) -> np.ndarray:
     """Independent forces of a solution near ``start``, or the best found; the residual says which.
 
-    Of ``ATTEMPTS`` so many are made at most; the first is Newton's method from ``start``.
+    Newton's method goes first; where it is not exact, so do all attempts of the compiled iterations
+    from the same start.
     """
+    begin = problem.without_force() if start is None else start
+    best = newton(problem, begin)
+    least = problem.residual(best)
+    if least <= ROUNDED_RESIDUAL:
+        return best
     n = problem.g.size
     kind, mu = np.full(n, SINGLE), np.zeros(n)
     for cone in problem.cones.values():
         kind[cone.normal], kind[cone.tangents], mu[cone.normal] = NORMAL, TANGENT, cone.mu
     G, terms = np.ascontiguousarray(problem.G), np.ascontiguousarray(problem.terms)
-    z = problem.without_force() if start is None else start.copy()
-    solve_laws(Laws(G, terms, problem.g, problem.lower, problem.upper, kind, mu), z, attempts)
-    return z
+    z = begin.copy()
+    laws = Laws(G, terms, problem.g, problem.lower, problem.upper, kind, mu)
+    solve_laws(laws, z)
+    return z if problem.residual(z) < least else best
+
+
+def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
+    """Steps from a start until the residual is zero but for rounding; the best point met."""
+    best, least = z, problem.residual(z)
+    for _ in range(STEPS):
+        A, r = _linearise(problem, z)
+        z = z - np.linalg.lstsq(A, r, rcond=RANK)[0]
+        residual = problem.residual(z)
+        if not np.isfinite(residual):
+            break
+        settled = residual <= ROUNDED_RESIDUAL and residual >= 0.1 * least
+        if residual < least:
+            best, least = z, residual
+        if settled or least == 0.0:
+            break
+    return best
+
+
+def _linearise(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and value of the equations of the present modes."""
+    G = problem.G
+    w = G @ z + problem.g
+    p = z - w
+    bounded = np.clip(p, problem.lower, problem.upper)
+    at_bound = bounded != p
+    identity = np.eye(z.size)
+    A = np.where(at_bound[:, None], identity, G)
+    r = np.where(at_bound, z - bounded, w)
+    for cone in problem.cones.values():
+        tangents = cone.tangents
+        radius, length = cone.mu * max(p[cone.normal], 0.0), np.hypot(*p[tangents])
+        if radius == 0.0:
+            A[tangents], r[tangents] = identity[tangents], z[tangents]
+        elif length > radius:
+            A[tangents], r[tangents] = _slip(cone, G, z, p)
+    return A, r
+
+
+def _slip(cone: Cone, G: np.ndarray, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of a contact that begins to slip, its direction among the unknowns."""
+    tangents, length = cone.tangents, np.hypot(*p[cone.tangents])
+    d, radius = p[tangents] / length, cone.mu * p[cone.normal]
+    dp = np.eye(z.size) - G
+    turn = (radius / length) * (np.eye(2) - np.outer(d, d))
+    rows = np.eye(z.size)[tangents] - cone.mu * np.outer(d, dp[cone.normal]) - turn @ dp[tangents]
+    return rows, z[tangents] - radius * d
