@@ -33,6 +33,7 @@ from multiarm.events.complementarity.semismooth import (
 )
 from multiarm.events.complementarity.smoothing import follow_path
 from multiarm.jit.kernels import (
+    INT,
     INTS,
     NUMBERS,
     TABLE,
@@ -132,17 +133,17 @@ def solve_impulses(D, b, kinds, rows, mu, lower, upper, x):
         for j in range(n):
             G[i, j] = s * D[place[i], place[j]] * scale[place[j]]
     laws = Laws(G, G, g, low, high, kind, coefficient)
-    least, iterations = solve_laws(laws, z)
+    least, iterations = solve_laws(laws, z, len(ATTEMPTS))
     for i in range(n):
         x[place[i]] = scale[place[i]] * z[i]
     return least, iterations
 
 
 @allocating
-def solve_laws(laws: LAWS, z: NUMBERS):
+def solve_laws(laws: LAWS, z: NUMBERS, attempts: INT):
     """Independent forces that obey the laws; ``z`` is where to begin and becomes the best found.
 
-    Returns its residual and the number of Newton steps.
+    Returns its residual and the number of Newton steps; of ``ATTEMPTS`` so many are made at most.
     """
     n = z.size
     work = NewtonWork(
@@ -157,7 +158,7 @@ def solve_laws(laws: LAWS, z: NUMBERS):
     )
     sweeping, slips, none = np.empty(n), np.zeros(n), -np.ones(n)
     least, iterations, convex = math.inf, 0, 0
-    for attempt in range(len(ATTEMPTS)):
+    for attempt in range(attempts):
         kind, amount, r, rho = ATTEMPTS[attempt]
         if kind == _GIVEN:
             copy(z, work.z)

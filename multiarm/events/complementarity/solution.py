@@ -25,9 +25,9 @@ part of G exceeds :math:`\sum_k (\mu_k/2) (\epsilon e_n e_n^T + G_t^T G_t/\epsil
 without contacts at zero slip are decided by a complete search: every law in every mode, the linear
 equations of the modes, the residual of their solution. The list is complete: forces that are not
 determined by their modes can be moved to a bound, which is another choice of modes. So an empty
-list proves that there is no solution. Otherwise Newton's method begins from contacts that push, all
-of them and each alone, as they would where friction jams: what it finds are solutions, that there
-are no others is not proven.
+list proves that there is no solution. Otherwise, of up to three contacts, Newton's method begins
+from contacts that push, all of them and each alone, as they would where friction jams: what it
+finds are solutions, that there are no others is not proven.
 """
 
 from __future__ import annotations
@@ -56,11 +56,13 @@ from multiarm.events.complementarity.problem import (
     build,
     matrix_rank,
 )
-from multiarm.events.complementarity.solvers import iterate, newton, solve_box
+from multiarm.events.complementarity.solvers import iterate, iterate_compiled, solve_box
 
 # Laws of a complete search, and choices of modes.
 FEW_LAWS, FEW_MODES = 8, 300
-# Forces of loaded contacts, as parts of the scale without forces.
+# Contacts that are loaded to look for other solutions, and their forces as parts of the scale. More
+# contacts share their load: they have families of motions, which say nothing about jamming.
+LOADED_CONTACTS = 3
 LOADS = (1.0, 10.0)
 
 
@@ -265,7 +267,8 @@ def _solutions(problem: Problem, start: np.ndarray) -> tuple[list[np.ndarray], V
 def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
     """Known solutions, and those that Newton's method finds from contacts that push.
 
-    They push with a load, or with what keeps them at rest.
+    They push with a load, or with what keeps them at rest. Of a family that contacts which share a
+    load make one is listed.
     """
     solutions, size = list(known), problem.size(problem.without_force())
     contacts = [
@@ -273,6 +276,8 @@ def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
         for k, law in zip(problem.columns, problem.laws, strict=True)
         if isinstance(law, (Friction, Sliding))
     ]
+    if len(contacts) > LOADED_CONTACTS:
+        return solutions
     choices = [np.concatenate(contacts), *contacts] if len(contacts) > 1 else contacts
     for columns in choices:
         among = np.ix_(columns, columns)
@@ -281,7 +286,10 @@ def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
         for start, load in zip(starts[1:], LOADS, strict=True):
             start[np.intersect1d(columns, problem.columns)] = load * size
         for start in starts:
-            _add_motion(problem, newton(problem, start), solutions)
+            z = iterate_compiled(problem, start, attempts=1)
+            # all forces between two of a family obey the laws: contacts share a load, none jams
+            if all(problem.residual((z + one) / 2.0) > RESOLVED for one in solutions):
+                _add_motion(problem, z, solutions)
     return solutions
 
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiarm.events.complementarity.impulses import solve_laws
+from multiarm.events.complementarity.impulses import ATTEMPTS, solve_laws
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     RANK,
@@ -162,15 +162,23 @@ def iterate(problem: Problem, start: np.ndarray | None = None) -> np.ndarray:
     least = problem.residual(best)
     if least <= ROUNDED_RESIDUAL:
         return best
+    z = iterate_compiled(problem, begin)
+    return z if problem.residual(z) < least else best
+
+
+def iterate_compiled(
+    problem: Problem, start: np.ndarray, attempts: int = len(ATTEMPTS)
+) -> np.ndarray:
+    """As :func:`iterate`; of ``ATTEMPTS`` so many are made at most, Newton's method the first."""
     n = problem.g.size
     kind, mu = np.full(n, SINGLE), np.zeros(n)
     for cone in problem.cones.values():
         kind[cone.normal], kind[cone.tangents], mu[cone.normal] = NORMAL, TANGENT, cone.mu
     G, terms = np.ascontiguousarray(problem.G), np.ascontiguousarray(problem.terms)
-    z = begin.copy()
+    z = start.copy()
     laws = Laws(G, terms, problem.g, problem.lower, problem.upper, kind, mu)
-    solve_laws(laws, z)
-    return z if problem.residual(z) < least else best
+    solve_laws(laws, z, attempts)
+    return z
 
 
 def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
