@@ -149,7 +149,7 @@ def test_other_starts_help_where_newton_runs_in_circles():
 
 def test_redundant_fingertips_have_a_motion():
     """One to twelve contacts, whose rows depend on each other."""
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(3)
     for _ in range(60):
         D, b, laws = pressed_box(rng)
         solution = solve(D, b, laws)
