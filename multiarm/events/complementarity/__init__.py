@@ -7,9 +7,11 @@ takes the response of the rows, their free rates and contact laws
 same problem, with impulses for forces and velocities for accelerations.
 
 Without friction the problem is convex and is solved by pivoting, in finitely many steps, singular D
-included. With friction Newton's method on the exact cones finds the modes
-(:mod:`~multiarm.events.complementarity.solvers`). Where a solution need not exist, or need not be
-the only one (Painleve), all modes are tried (:mod:`~multiarm.events.complementarity.solution`).
+included. With friction Newton's method on the exact cones finds the modes, and where it does not
+compiled iterations do: a proximal point method, smoothed laws, Gauss-Seidel sweeps
+(:mod:`~multiarm.events.complementarity.impulses`, which steps in time call with plain arrays).
+Where a solution need not exist, or need not be the only one (Painleve), others are looked for
+(:mod:`~multiarm.events.complementarity.solution`).
 Nothing is regularised. Where the forces are not determined, those of minimum norm that obey the
 laws are taken, which also gives the active set
 (:mod:`~multiarm.events.complementarity.active_set`).

@@ -31,8 +31,8 @@ independent forces z to all, and F the one that picks their rates,
 E has the columns :math:`s_n (e_n - \mu (s_1 e_i + s_2 e_j))` for sliding contacts; G is symmetric
 when there are none.
 
-**Thresholds** are relative. The scale is the largest sum of absolute terms in any scaled rate;
-every threshold except ``RANK`` is a part of it.
+**Thresholds** are relative. The scale is the largest sum of absolute terms in any scaled rate, up
+to ``GROWN`` times the largest free rate; every threshold except ``RANK`` is a part of it.
 """
 
 from __future__ import annotations
@@ -66,6 +66,10 @@ RESOLVED = 0.1 * MARGIN
 
 CONSISTENT = 4e-9
 """A motion is reproduced when the rates agree to this: what a few forces within ``MARGIN`` make."""
+
+GROWN = 1e6
+"""The scale is at most so many times the largest free rate: forces that grow without end, against
+rates that contradict each other, do not pass for a solution."""
 
 NO_RESPONSE = 1e-14
 """A response below this part of the largest is none: masses may differ by a factor of 1e12."""
@@ -242,7 +246,9 @@ class Problem:
 
     def size(self, z: np.ndarray) -> float:
         """The scale: the largest sum of absolute terms in any rate (0 when all is zero)."""
-        return float(np.max(np.abs(self.g) + self.terms @ np.abs(z), initial=0.0))
+        size = float(np.max(np.abs(self.g) + self.terms @ np.abs(z), initial=0.0))
+        free = float(np.max(np.abs(self.g), initial=0.0))
+        return min(size, GROWN * free) if free > 0.0 else size
 
     def residual(self, z: np.ndarray) -> float:
         """How far independent forces are from obeying all laws, as a part of the scale.

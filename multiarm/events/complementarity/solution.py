@@ -21,12 +21,13 @@ and dw = G dz, the laws give
 part of G exceeds :math:`\sum_k (\mu_k/2) (\epsilon e_n e_n^T + G_t^T G_t/\epsilon)` for some
 :math:`\epsilon`. This is sufficient only: contacts that share a load never satisfy it.
 
-**All modes tried.** Where friction may leave no solution or several, a handful of laws is decided
-by enumeration: every law in every mode, the linear equations of the modes, the residual of their
-solution. Without contacts at zero slip the list is complete: forces that are not determined by
-their modes can be moved to a bound, which is another choice of modes. The directions in which a
-contact at zero slip may begin to slip start from a ring of eight and are refined by Newton's
-method: what is found so are solutions, that there are no others is not proven.
+**Others.** Where the response leaves room for several solutions, or none was found, a few laws
+without contacts at zero slip are decided by a complete search: every law in every mode, the linear
+equations of the modes, the residual of their solution. The list is complete: forces that are not
+determined by their modes can be moved to a bound, which is another choice of modes. So an empty
+list proves that there is no solution. Otherwise, of up to three contacts, Newton's method begins
+from contacts that push, all of them and each alone, as they would where friction jams: what it
+finds are solutions, that there are no others is not proven.
 """
 
 from __future__ import annotations
@@ -49,27 +50,34 @@ from multiarm.events.complementarity.problem import (
     ROUNDED_RESIDUAL,
     ContactLaw,
     ContactMode,
+    Friction,
     Problem,
+    Sliding,
     build,
     matrix_rank,
 )
-from multiarm.events.complementarity.solvers import iterate, newton, solve_box
+from multiarm.events.complementarity.solvers import iterate, iterate_compiled, solve_box
 
-# Directions in which a contact at zero slip may begin to slip.
-RING = [np.array([np.cos(a), np.sin(a)]) for a in np.arange(8) * (np.pi / 4.0)]
+# Laws of a complete search, and choices of modes.
+FEW_LAWS, FEW_MODES = 8, 300
+# Contacts that are loaded to look for other solutions, and their forces as parts of the scale. More
+# contacts share their load: they have families of motions, which say nothing about jamming.
+LOADED_CONTACTS = 3
+LOADS = (1.0, 10.0)
 
 
 class Verdict(str, Enum):
     """How many motions there are."""
 
     UNIQUE = "unique"
-    """One, proven: no friction, or an adequate response, or all modes were tried."""
+    """One, proven: no friction, or an adequate response, or a complete search."""
     FOUND = "found"
     """At least one; others are neither excluded nor indicated."""
     SEVERAL = "not unique"
-    """Several: the one with the smallest forces is given, the others are the alternatives."""
+    """Several: the one with the smallest forces is given, or the one nearest to the forces before;
+    the others are the alternatives."""
     NONE = "none"
-    """None, or none was found, as the message says; the result is the nearest to one."""
+    """None, proven; or none was found, as the message says. The result is the nearest to one."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,10 @@ class ComplementaritySolution:
 
 
 def solve(
-    response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]
+    response: np.ndarray,
+    free: np.ndarray,
+    laws: Sequence[ContactLaw],
+    near: np.ndarray | None = None,
 ) -> ComplementaritySolution:
     """Solve a contact problem.
 
@@ -141,6 +152,9 @@ def solve(
         ``v + e v`` with the restitution e, so that y is ``v_after + e v_before``.
     laws : sequence of Push, Bounded, Friction or Sliding
         Contact laws; every row belongs to exactly one.
+    near : ndarray, shape (m,), optional
+        Forces to begin with, such as those of the mode before; of several solutions the nearest is
+        taken.
 
     Returns
     -------
@@ -153,7 +167,10 @@ def solve(
     assert np.all(np.isfinite(D)) and np.all(np.isfinite(b)), "numbers are finite"
     assert np.allclose(D, D.T, rtol=0.0, atol=1e-9 * np.max(np.abs(D), initial=0.0)), "symmetric"
     problem = build((D + D.T) / 2.0, b, laws)
-    (z, *alternatives), verdict, message = _solutions(problem)
+    start = problem.without_force()
+    if near is not None:
+        start = np.clip((near / problem.scale)[problem.rows], problem.lower, problem.upper)
+    (z, *alternatives), verdict, message = _solutions(problem, start)
     if verdict == Verdict.NONE:
         chosen = ActiveSet(problem.E @ z, law_modes(problem, z))
     else:
@@ -201,23 +218,21 @@ def uniqueness(problem: Problem) -> Motion:
 
 
 def all_solutions(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
-    """Solutions of all modes, known ones first: one a motion, sorted by the size of the forces."""
+    """Solutions of all modes of a problem without contacts at zero slip: known ones, one a motion.
+
+    The number of modes grows exponentially with that of the laws.
+    """
     solutions = list(known)
     for modes in product(*(_linear_modes(problem, k) for k in problem.columns)):
-        A, c = np.vstack([mode[0] for mode in modes]), np.concatenate([mode[1] for mode in modes])
+        A, c = np.array([mode[0] for mode in modes]), np.array([mode[1] for mode in modes])
         z = np.linalg.lstsq(A, c, rcond=RANK)[0]
-        if any(guessed for _, _, guessed in modes):
-            z = newton(problem, z)
         # where forces can grow without changing the rates of their own laws, there is a family
         for forces in [z, *_along_family(problem, z)]:
-            if problem.residual(forces) <= 10.0 * ROUNDED_RESIDUAL and not any(
-                _same_motion(problem, forces, solution) for solution in solutions
-            ):
-                solutions.append(forces)
-    return sorted(solutions, key=lambda z: float(z @ z))
+            _add_motion(problem, forces, solutions)
+    return solutions
 
 
-def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
+def _solutions(problem: Problem, start: np.ndarray) -> tuple[list[np.ndarray], Verdict, str]:
     """Solutions, the best one first (without any, the nearest point); verdict and message."""
     if problem.convex:
         forces, contradiction = solve_box(problem.G, problem.g, problem.lower, problem.upper)
@@ -227,34 +242,63 @@ def _solutions(problem: Problem) -> tuple[list[np.ndarray], Verdict, str]:
             message = "no solution: the rows contradict each other, no forces keep all their rates"
             return [problem.without_force()], Verdict.NONE, message
     motion = uniqueness(problem)
-    z = iterate(problem)
-    solved = problem.residual(z) <= ROUNDED_RESIDUAL
-    if solved and motion != Motion.DOUBTFUL:
-        return [z], Verdict.UNIQUE if motion == Motion.UNIQUE else Verdict.FOUND, ""
-    if _few_modes(problem):
-        return _all_tried(problem, z, solved)
-    if solved:
-        message = "friction is so strong that other solutions may exist (Painleve); too many to try"
-        return [z], Verdict.FOUND, message
+    z = iterate(problem, start)
     residual = problem.residual(z)
-    if residual <= RESOLVED:
-        return [z], Verdict.FOUND, ""
-    message = f"no solution found (residual {residual:.1e}); too many contacts to try all modes"
-    return [z], Verdict.NONE, message
-
-
-def _all_tried(
-    problem: Problem, z: np.ndarray, solved: bool
-) -> tuple[list[np.ndarray], Verdict, str]:
-    solutions = all_solutions(problem, [z] if solved else [])
+    if residual <= RESOLVED and motion != Motion.DOUBTFUL:
+        return [z], Verdict.UNIQUE if motion == Motion.UNIQUE else Verdict.FOUND, ""
+    known = [z] if residual <= RESOLVED else []
+    complete = _few_modes(problem)
+    solutions = all_solutions(problem, known) if complete else _from_loads(problem, known)
+    solutions.sort(key=lambda z: float((z - start) @ (z - start)))
     if len(solutions) > 1:
         message = f"several solutions (Painleve): {len(solutions)} motions or more obey the laws"
         return solutions, Verdict.SEVERAL, message
-    complete = not problem.cones
+    if solutions and complete:
+        return solutions, Verdict.UNIQUE, ""
     if solutions:
-        return solutions, Verdict.UNIQUE if complete else Verdict.FOUND, ""
-    how = "in no mode do the forces obey the laws" if complete else "none was found in any mode"
-    return [z], Verdict.NONE, f"no solution (Painleve): {how}"
+        message = "friction is so strong that other solutions may exist (Painleve)"
+        return solutions, Verdict.FOUND, message
+    if complete:
+        message = "no solution (Painleve): in no mode do the forces obey the laws"
+        return [z], Verdict.NONE, message
+    return [z], Verdict.NONE, f"no solution found (residual {residual:.1e})"
+
+
+def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:
+    """Known solutions, and those that Newton's method finds from contacts that push.
+
+    They push with a load, or with what keeps them at rest. Of a family that contacts which share a
+    load make one is listed.
+    """
+    solutions, size = list(known), problem.size(problem.without_force())
+    contacts = [
+        np.arange(k, k + (3 if k in problem.cones else 1))
+        for k, law in zip(problem.columns, problem.laws, strict=True)
+        if isinstance(law, (Friction, Sliding))
+    ]
+    if len(contacts) > LOADED_CONTACTS:
+        return solutions
+    choices = [np.concatenate(contacts), *contacts] if len(contacts) > 1 else contacts
+    for columns in choices:
+        among = np.ix_(columns, columns)
+        starts = [problem.without_force() for _ in range(1 + len(LOADS))]
+        starts[0][columns] = np.linalg.lstsq(problem.G[among], -problem.g[columns], rcond=RANK)[0]
+        for start, load in zip(starts[1:], LOADS, strict=True):
+            start[np.intersect1d(columns, problem.columns)] = load * size
+        for start in starts:
+            z = iterate_compiled(problem, start, attempts=1)
+            # all forces between two of a family obey the laws: contacts share a load, none jams
+            if all(problem.residual((z + one) / 2.0) > RESOLVED for one in solutions):
+                _add_motion(problem, z, solutions)
+    return solutions
+
+
+def _add_motion(problem: Problem, z: np.ndarray, solutions: list[np.ndarray]) -> None:
+    """Add a solution whose motion none of the others has."""
+    if problem.residual(z) <= 10.0 * ROUNDED_RESIDUAL and not any(
+        _same_motion(problem, z, solution) for solution in solutions
+    ):
+        solutions.append(z)
 
 
 def _alternative(problem: Problem, z: np.ndarray) -> Alternative:
@@ -296,10 +340,10 @@ def _dominates_friction(problem: Problem) -> bool:
 
 
 def _few_modes(problem: Problem) -> bool:
-    """Whether all modes can be tried."""
-    if len(problem.laws) > 8:
+    """Whether a complete search is possible."""
+    if problem.cones or len(problem.laws) > FEW_LAWS:
         return False
-    return prod(len(_linear_modes(problem, k)) for k in problem.columns) <= 300
+    return prod(len(_linear_modes(problem, k)) for k in problem.columns) <= FEW_MODES
 
 
 def _same_motion(problem: Problem, first: np.ndarray, second: np.ndarray) -> bool:
@@ -309,34 +353,18 @@ def _same_motion(problem: Problem, first: np.ndarray, second: np.ndarray) -> boo
     return bool(np.max(np.abs(apart), initial=0.0) <= CONSISTENT * size)
 
 
-def _linear_modes(problem: Problem, k: int) -> list[tuple[np.ndarray, np.ndarray, bool]]:
-    """Rows of ``A z = c`` of a law in each mode, and whether its direction of slip is a guess.
-
-    ``k`` is the first column of the law.
-    """
-    cone, identity = problem.cones.get(k), np.eye(problem.g.size)
-    columns = [k] if cone is None else [k, k + 1, k + 2]
-    none = np.zeros(len(columns) - 1)
-    modes: list[tuple[np.ndarray, np.ndarray, bool]] = [
-        (identity[columns], np.array([bound, *none]), False)
-        for bound in (problem.lower[k], problem.upper[k])
-        if np.isfinite(bound)
-    ]
-    if cone is None or cone.mu > 0.0:  # closed, sticking
-        modes.append((problem.G[columns], -problem.g[columns], False))
-    if cone is not None:
-        for direction in RING if cone.mu > 0.0 else RING[:1]:
-            tied = identity[cone.tangents] - cone.mu * np.outer(direction, identity[k])
-            A = np.vstack([problem.G[k], tied])
-            modes.append((A, np.array([-problem.g[k], *none]), cone.mu > 0.0))
-    return modes
+def _linear_modes(problem: Problem, k: int) -> list[tuple[np.ndarray, float]]:
+    """Equation ``a z = c`` of independent force k in each mode: at a bound, at rate zero."""
+    at_bound = np.eye(problem.g.size)[k]
+    bounds = [float(x) for x in (problem.lower[k], problem.upper[k]) if np.isfinite(x)]
+    return [(at_bound, x) for x in bounds] + [(problem.G[k], -float(problem.g[k]))]
 
 
 def _along_family(problem: Problem, z: np.ndarray) -> list[np.ndarray]:
     """Forces near a solution that leave the rates of their own laws as they are."""
     size = problem.size(z)
     touching = np.flatnonzero(np.abs(problem.G @ z + problem.g) <= ROUNDED_RESIDUAL * size)
-    if problem.cones or touching.size == 0:
+    if touching.size == 0:
         return []
     _, values, right = np.linalg.svd(problem.G[np.ix_(touching, touching)])
     block = right[rank_of(values, RANK, 1.0) :].T

@@ -1,4 +1,4 @@
-r"""Forces that obey the contact laws: pivoting without friction, Newton's method with it.
+r"""Forces that obey the contact laws: by pivoting without friction, by iterations with it.
 
 **Pivoting.** With D symmetric and positive semidefinite the laws
 
@@ -14,21 +14,11 @@ equations are regular however singular D is. A force that grows without end, at 
 wrong, proves that there is no solution. (Cottle, Pang, Stone, chapter 4; for contacts Baraff, "Fast
 contact force computation for nonpenetrating rigid bodies", 1994.)
 
-**Newton.** The laws hold where the natural map is zero,
-
-.. math:: \Phi(z) = z - P(z - w(z)), \qquad w = G z + g,
-
-P the projection on bounds and on the disk :math:`|z_t| \le \mu p_n` of each contact. At a given z
-the argument :math:`p = z - w` gives the mode of every law, and the equation of that mode is linear
-(open: z = bound; closed, sticking: w = 0) or, for a contact that begins to slip in a direction not
-yet known, smooth:
-
-.. math:: z_t = \mu p_n d, \qquad d = p_t / |p_t|, \qquad
-          \delta d = \frac{1 - d d^T}{|p_t|} \, \delta p_t .
-
-A step solves the equations of the present modes. Once the modes are right it is exact, or converges
-quadratically (Alart and Curnier, CMAME 92, 1991). It may also cycle: then sweeps of projected
-Gauss-Seidel, slow but steady, give another start. The residual alone decides what is a solution.
+**With friction** the problem is not one of minimisation. Newton's method solves the equations of
+the present modes (:mod:`~multiarm.events.complementarity.semismooth`), here with steps of minimum
+norm from singular values: where rows depend on each other the forces that it ends at depend on the
+problem alone, not on rounding. It may lose digits or cycle; then compiled iterations of more sorts
+find the modes (:mod:`~multiarm.events.complementarity.impulses`).
 """
 
 from __future__ import annotations
@@ -37,23 +27,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multiarm.events.complementarity.impulses import ATTEMPTS, solve_laws
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     RANK,
-    RESOLVED,
     ROUNDED_RESIDUAL,
     Cone,
     Problem,
 )
+from multiarm.events.complementarity.semismooth import NORMAL, SINGLE, TANGENT, Laws
 
 # Pivots allowed for each row: a handful is usual, more means that rounding makes it cycle.
 PIVOTS = 20
 # Newton steps from one start.
 STEPS = 25
-# Gauss-Seidel sweeps before each attempt of Newton's method, after the first from no force at all.
-SWEEPS = (0, 10, 100, 1000)
-# Forces of this many times the scale grow without bound.
-DIVERGED = 1e12
 
 
 def solve_box(
@@ -164,19 +151,34 @@ class _Pivoting:
         self.y = self.D @ self.x + self.b
 
 
-def iterate(problem: Problem) -> np.ndarray:
-    """Independent forces of a solution, or the best found; the residual says which."""
-    z = best = problem.without_force()
-    for sweeps in SWEEPS:
-        if sweeps >= 100 and problem.residual(best) <= RESOLVED:
-            break
-        z = gauss_seidel(problem, z, sweeps)
-        refined = newton(problem, z)
-        if problem.residual(refined) < problem.residual(best):
-            best = refined
-        if problem.residual(best) <= ROUNDED_RESIDUAL:
-            break
-    return best
+def iterate(problem: Problem, start: np.ndarray | None = None) -> np.ndarray:
+    """Independent forces of a solution near ``start``, or the best found; the residual says which.
+
+    Newton's method goes first; where it is not exact, so do all attempts of the compiled iterations
+    from the same start.
+    """
+    begin = problem.without_force() if start is None else start
+    best = newton(problem, begin)
+    least = problem.residual(best)
+    if least <= ROUNDED_RESIDUAL:
+        return best
+    z = iterate_compiled(problem, begin)
+    return z if problem.residual(z) < least else best
+
+
+def iterate_compiled(
+    problem: Problem, start: np.ndarray, attempts: int = len(ATTEMPTS)
+) -> np.ndarray:
+    """As :func:`iterate`; of ``ATTEMPTS`` so many are made at most, Newton's method the first."""
+    n = problem.g.size
+    kind, mu = np.full(n, SINGLE), np.zeros(n)
+    for cone in problem.cones.values():
+        kind[cone.normal], kind[cone.tangents], mu[cone.normal] = NORMAL, TANGENT, cone.mu
+    G, terms = np.ascontiguousarray(problem.G), np.ascontiguousarray(problem.terms)
+    z = start.copy()
+    laws = Laws(G, terms, problem.g, problem.lower, problem.upper, kind, mu)
+    solve_laws(laws, z, attempts)
+    return z
 
 
 def newton(problem: Problem, z: np.ndarray) -> np.ndarray:
@@ -224,26 +226,3 @@ def _slip(cone: Cone, G: np.ndarray, z: np.ndarray, p: np.ndarray) -> tuple[np.n
     turn = (radius / length) * (np.eye(2) - np.outer(d, d))
     rows = np.eye(z.size)[tangents] - cone.mu * np.outer(d, dp[cone.normal]) - turn @ dp[tangents]
     return rows, z[tangents] - radius * d
-
-
-def gauss_seidel(problem: Problem, z: np.ndarray, sweeps: int) -> np.ndarray:
-    """One force after the other set to what its law demands, the others as they are."""
-    G, g, lower, upper = problem.G, problem.g, problem.lower, problem.upper
-    z = z.copy()
-    cones = problem.cones.values()
-    in_cones = {cone.normal + k for cone in cones for k in (1, 2)}
-    single = [k for k in range(z.size) if k not in in_cones and G[k, k] > RANK]
-    # the largest eigenvalue of the response of two tangents; one where nothing responds
-    blocks = [G[cone.tangents, cone.tangents] for cone in cones]
-    stiffest = [float(np.linalg.eigvalsh(block)[-1]) or 1.0 for block in blocks]
-    ceiling = DIVERGED * problem.size(z)
-    for _ in range(sweeps):
-        if not np.max(np.abs(z), initial=0.0) <= ceiling:
-            break  # friction feeds itself: Gauss-Seidel diverges
-        for k in single:
-            z[k] = min(max(z[k] - (G[k] @ z + g[k]) / G[k, k], lower[k]), upper[k])
-        for cone, eigenvalue in zip(cones, stiffest, strict=True):
-            tangents, radius = cone.tangents, cone.mu * z[cone.normal]
-            p = z[tangents] - (G[tangents] @ z + g[tangents]) / eigenvalue
-            z[tangents] = p * min(1.0, radius / max(np.hypot(*p), np.finfo(float).tiny))
-    return z
