@@ -8,6 +8,8 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import os
+import signal
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -53,7 +55,7 @@ def carry_out(case: Case) -> Run:
     began = time.monotonic()
     try:
         trajectory = simulate(case)
-    except Exception as error:
+    except (Exception, KeyboardInterrupt) as error:
         seconds = time.monotonic() - began
         return Run(f"{type(error).__name__}", str(error), 0.0, duration, seconds, 0, 0)
     facts = trajectory.statistics
@@ -74,7 +76,10 @@ def _serve(pipe: Connection) -> None:
 
 
 class Worker:
-    """A process that runs cases one by one, and is replaced when one takes too long."""
+    """A process that runs cases one by one.
+
+    A run that takes too long is interrupted; a process that does not listen is replaced.
+    """
 
     def __init__(self, limit: float = SLOWEST) -> None:
         self.limit = limit
@@ -89,9 +94,11 @@ class Worker:
             there.close()
         self._pipe.send(case)
         try:
+            if not self._pipe.poll(self.limit):
+                os.kill(self._process.pid, signal.SIGINT)
             if self._pipe.poll(self.limit):
                 return self._pipe.recv()
-            why = Run("timeout", f"takes longer than {self.limit:g} s", 0.0, 0.0, self.limit, 0, 0)
+            why = Run("timeout", "does not listen", 0.0, 0.0, 2.0 * self.limit, 0, 0)
         except EOFError:
             why = Run("died", "the process ended", 0.0, 0.0, 0.0, 0, 0)
         self.close()

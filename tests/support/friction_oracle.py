@@ -1,0 +1,301 @@
+"""Scenes of :mod:`random_friction_scenes` once more, from their tables, in NumPy and Pinocchio.
+
+Bodies are the world, the objects and the tips of the arms.  A contact is between a point or a
+sphere of one body and a plane of another; its frame has the plane's normal and two tangents, and
+forces are those on the body of the point.  Nothing here calls the package but for the files of
+robots.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from random_friction_scenes import Table, box_corners
+from scipy.spatial.transform import Rotation
+
+from multiarm.scene import find_robot
+
+WORLD = "world"
+
+
+class WrittenContact(NamedTuple):
+    """A contact as the scene has it, and where results have it."""
+
+    channel: str  # key of `contact_forces`
+    index: int  # among the contacts of the channel
+    body: str
+    point: np.ndarray  # (3,) or the centre of a sphere, in the body's frame [m]
+    radius: float  # [m]
+    base: str  # the body of the plane
+    place: np.ndarray  # (3,) of the plane, in its body's frame [m]
+    normal: np.ndarray  # (3,) out of the plane's body, in its frame
+    mu: float | None
+    restitution: float
+    pushes_base: bool  # whether results have the force on the plane's body
+
+
+def contacts_of(table: Table) -> list[WrittenContact]:
+    """The contacts of all joints with ``contacts`` and of the floor."""
+    effects = table["effects"]
+    unilateral = effects.get("unilateral_contacts", {})
+    friction = effects.get("contact_friction")
+    objects = objects_of(table)
+    found = []
+    for joint in table["joints"]:
+        if joint["kind"] != "contacts":
+            continue
+        if "arm" in joint:
+            ends = joint["arm"], joint.get("object", next(iter(objects)))
+            channel = joint["arm"]
+        else:
+            ends = tuple(joint["between"])
+            channel = joint.get("name", "-".join(ends))
+        for k, contact in enumerate(joint["contacts"]):
+            first, plane = contact["arm"], contact["object"]["plane"]
+            sphere = first.get("sphere")
+            found.append(WrittenContact(
+                channel, k, ends[0],
+                np.array(first["point"] if sphere is None else sphere["center"]),
+                0.0 if sphere is None else sphere["radius"],
+                ends[1], np.array(plane["point"]), np.array(plane["normal"]),
+                None if friction is None else friction["mu"],
+                unilateral.get("restitution", 0.0), True,
+            ))  # fmt: skip
+    floor = effects.get("floor")
+    if floor is not None:
+        for name in [floor["object"]] if "object" in floor else objects:
+            points = floor.get("points", box_corners(objects[name]["shape"]["box"]))
+            for k, point in enumerate(np.array(points)):
+                found.append(WrittenContact(
+                    f"floor/{name}" if len(objects) > 1 else "floor", k, name, point, 0.0, WORLD,
+                    np.array(floor.get("at", {}).get("xyz", [0.0, 0.0, 0.0])),
+                    np.array([0.0, 0.0, 1.0]), floor.get("mu"), floor.get("restitution", 0.0),
+                    False,
+                ))  # fmt: skip
+    return found
+
+
+def objects_of(table: Table) -> dict[str, Table]:
+    return table["objects"] if "objects" in table else {"object": table["object"]}
+
+
+class State(NamedTuple):
+    """Poses and twists of the objects, positions and rates of the joints."""
+
+    positions: np.ndarray  # (F, 3) [m]
+    rotations: np.ndarray  # (F, 3, 3)
+    joints: list[np.ndarray]  # of each arm [rad]
+    velocity: np.ndarray  # (6 F + n,) twists in world axes, then rates
+
+
+class Body(NamedTuple):
+    """Pose and motion of a body in world axes."""
+
+    rotation: np.ndarray
+    origin: np.ndarray
+    jacobian: np.ndarray  # (6, nv) of the origin, linear and angular
+    bias: np.ndarray  # (6,) acceleration of the origin (classical) without that of the coordinates
+
+
+class Mechanism(NamedTuple):
+    """What the equations of motion of one state need."""
+
+    bodies: dict[str, Body]
+    inverse_inertia: np.ndarray  # (nv, nv)
+    force: np.ndarray  # (nv,) everything but contacts, drives and dry friction
+
+
+def skew(r: np.ndarray) -> np.ndarray:
+    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+
+
+@cache
+def _model(robot: str) -> pin.Model:
+    return pin.buildModelFromUrdf(str(find_robot(robot).urdf))
+
+
+class _Arm:
+    """An arm's model, whose world is the scene's."""
+
+    def __init__(self, name: str, table: Table, first: int, gravity: Any) -> None:
+        base = table["base"]
+        turn = Rotation.from_euler("xyz", base.get("rpy", [0.0, 0.0, 0.0])).as_matrix()
+        X = pin.SE3(turn, np.array(base["xyz"], dtype=float))
+        self.model = _model(table["robot"]).copy()
+        for frame in self.model.frames:
+            if frame.parentJoint == 0:
+                frame.placement = X * frame.placement
+        for joint in range(1, self.model.njoints):
+            if self.model.parents[joint] == 0:
+                self.model.jointPlacements[joint] = X * self.model.jointPlacements[joint]
+        self.model.gravity.linear = np.array(gravity, dtype=float)
+        self.data = self.model.createData()
+        self.name, self.start = name, np.array(table["posture"], dtype=float)
+        self.tip = self.model.getFrameId(table["tip"])
+        self.columns = slice(first, first + self.model.nv)
+
+
+class Oracle:
+    """Equations of motion of a table."""
+
+    def __init__(self, table: Table) -> None:
+        self.table = table
+        self.objects = objects_of(table)
+        gravity = table["gravity"] or [0.0, 0.0, 0.0]
+        self.arms: list[_Arm] = []
+        first = 6 * len(self.objects)
+        for name, arm in table.get("arms", {}).items():
+            self.arms.append(_Arm(name, arm, first, gravity))
+            first = self.arms[-1].columns.stop
+        self.nv, self.gravity = first, np.array(gravity, dtype=float)
+        self.masses = np.array([body["mass"] for body in self.objects.values()])
+        sizes = np.array([body["shape"]["box"] for body in self.objects.values()])
+        squares = sizes**2
+        self.moments = self.masses[:, None] / 12.0 * (np.sum(squares, axis=1)[:, None] - squares)
+        self.contacts = contacts_of(table)
+        self.control = table.get("control", {"kind": "none"})
+        self.damping = table["effects"].get("joint_damping", 0.0)
+        self.wrenches = table["effects"].get("external_wrenches", [])
+
+    def start(self) -> State:
+        """As the table has it."""
+        poses = [body.get("pose", {}) for body in self.objects.values()]
+        twists = [body.get("twist", [0.0] * 6) for body in self.objects.values()]
+        rates = [np.zeros(arm.model.nv) for arm in self.arms]
+        return State(
+            np.array([pose.get("xyz", [0.0, 0.0, 0.0]) for pose in poses], dtype=float),
+            np.array([
+                Rotation.from_euler("xyz", pose.get("rpy", [0.0, 0.0, 0.0])).as_matrix()
+                for pose in poses
+            ]),
+            [arm.start.copy() for arm in self.arms],
+            np.concatenate([*np.array(twists, dtype=float), *rates]),
+        )  # fmt: skip
+
+    def drives(self, t: float, state: State) -> np.ndarray:
+        """Torques of the control, shape (nv,), of those that need no contact forces."""
+        control, found = self.control, np.zeros(self.nv)
+        for arm, q in zip(self.arms, state.joints, strict=True):
+            torque = found[arm.columns]
+            if control["kind"] == "joint_pd":
+                assert not control["gravity_compensation"], "needs forces of the contacts"
+                torque += control["stiffness"] * (arm.start - q)
+                torque -= control["damping"] * state.velocity[arm.columns]
+            elif control["kind"] == "constant":
+                torque += control["torques"][arm.name]
+            elif control["kind"] == "harmonic":
+                angle = 2.0 * math.pi * control["frequency"] * t
+                phase = np.array(control["phase"][arm.name])
+                torque += np.array(control["amplitude"][arm.name]) * np.sin(angle + phase)
+            else:
+                assert control["kind"] == "none"
+        return found
+
+    def mechanism(self, t: float, state: State) -> Mechanism:
+        """Inertia, forces and the motion of all bodies at a state."""
+        bodies = {WORLD: Body(np.eye(3), np.zeros(3), np.zeros((6, self.nv)), np.zeros(6))}
+        inverse, force = np.zeros((self.nv, self.nv)), np.zeros(self.nv)
+        links: dict[str, Body] = {}
+        for k, name in enumerate(self.objects):
+            R, own = state.rotations[k], slice(6 * k, 6 * k + 6)
+            spin = state.velocity[own][3:]
+            J = np.zeros((6, self.nv))
+            J[:, own] = np.eye(6)
+            bodies[name] = Body(R, state.positions[k], J, np.zeros(6))
+            I = R @ np.diag(self.moments[k]) @ R.T  # noqa: E741
+            inverse[own, own][:3, :3] = np.eye(3) / self.masses[k]
+            inverse[own, own][3:, 3:] = R @ np.diag(1.0 / self.moments[k]) @ R.T
+            force[own][:3] += self.masses[k] * self.gravity
+            force[own][3:] -= np.cross(spin, I @ spin)
+        for arm, q in zip(self.arms, state.joints, strict=True):
+            model, data, own = arm.model, arm.data, arm.columns
+            rates = state.velocity[own]
+            pin.computeAllTerms(model, data, q, rates)
+            M = np.triu(data.M) + np.triu(data.M, 1).T
+            inverse[own, own] = np.linalg.inv(M)
+            force[own] -= data.nle + self.damping * rates
+            pin.forwardKinematics(model, data, q, rates, np.zeros(model.nv))
+            pin.updateFramePlacements(model, data)
+            bodies[arm.name] = self._frame(arm, arm.tip)
+            for wrench in self.wrenches:
+                on, _, link = wrench["on"].partition("/")
+                if on == arm.name and link:
+                    links[wrench["on"]] = self._frame(arm, model.getFrameId(link))
+        for wrench in self.wrenches:
+            body = links.get(wrench["on"]) or bodies[wrench["on"]]
+            point = body.rotation @ np.array(wrench.get("at", [0.0, 0.0, 0.0]))
+            assert wrench["axes"] == "world" and set(wrench) <= _WRENCH_KEYS
+            pull = np.array(wrench["force"], dtype=float)
+            if "sinusoid" in wrench:
+                pull = pull * math.sin(2.0 * math.pi * wrench["sinusoid"]["frequency"] * t)
+            force += body.jacobian.T @ np.concatenate([pull, np.cross(point, pull)])
+        return Mechanism(bodies, inverse, force)
+
+    def _frame(self, arm: _Arm, frame: int) -> Body:
+        J, axes = np.zeros((6, self.nv)), pin.LOCAL_WORLD_ALIGNED
+        J[:, arm.columns] = pin.getFrameJacobian(arm.model, arm.data, frame, axes)
+        bias = pin.getFrameClassicalAcceleration(arm.model, arm.data, frame, axes)
+        X = arm.data.oMf[frame]
+        return Body(X.rotation.copy(), X.translation.copy(), J, bias.vector.copy())
+
+
+_WRENCH_KEYS = {"on", "at", "axes", "force", "sinusoid"}
+
+
+class ContactMotion(NamedTuple):
+    """Motion of one contact.
+
+    ``jacobian`` (3, nv) is of the velocity of the point's body relative to the plane's, along the
+    normal and two tangents; ``bias`` what its rate, and that of the gap's rate, has besides the
+    accelerations of the coordinates.
+    """
+
+    gap: float
+    jacobian: np.ndarray
+    bias: np.ndarray
+    normal: np.ndarray  # (3,) world
+    point: np.ndarray  # (3,) world
+    tangents: np.ndarray  # (2, 3) world
+
+
+def tangents_of(normal: np.ndarray) -> np.ndarray:
+    """Two unit vectors across a normal, shape (2, 3); the same for the same normal."""
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(normal, first)])
+
+
+def contact_motion(
+    contact: WrittenContact, bodies: dict[str, Body], velocity: np.ndarray
+) -> ContactMotion:
+    """Gap, Jacobian and bias of a contact; the tangents are fixed in the plane's body."""
+    A, B = bodies[contact.body], bodies[contact.base]
+    n = B.rotation @ contact.normal
+    tangents = tangents_of(contact.normal) @ B.rotation.T
+    to_centre = A.rotation @ contact.point
+    centre = A.origin + to_centre
+    gap = float(n @ (centre - B.origin - B.rotation @ contact.place)) - contact.radius
+    r_A, c = to_centre - contact.radius * n, centre - contact.radius * n
+    r_B = c - B.origin
+    frame = np.vstack([n, tangents])
+    at_A = np.hstack([np.eye(3), -skew(r_A)])
+    at_B = np.hstack([np.eye(3), -skew(r_B)])
+    J = frame @ (at_A @ A.jacobian - at_B @ B.jacobian)
+    v_A, v_B = A.jacobian @ velocity, B.jacobian @ velocity
+    w_A, w_B = v_A[3:], v_B[3:]
+    n_rate = np.cross(w_B, n)
+    r_A_rate = np.cross(w_A, to_centre) - contact.radius * n_rate
+    r_B_rate = v_A[:3] + r_A_rate - v_B[:3]
+    slip = v_A[:3] + np.cross(w_A, r_A) - v_B[:3] - np.cross(w_B, r_B)
+    bias = (
+        A.bias[:3] + np.cross(A.bias[3:], r_A) + np.cross(w_A, r_A_rate)
+        - B.bias[:3] - np.cross(B.bias[3:], r_B) - np.cross(w_B, r_B_rate)
+    )  # fmt: skip
+    # the frame turns with B
+    return ContactMotion(
+        gap, J, frame @ bias + np.cross(w_B, frame) @ slip, n, c, tangents
+    )
