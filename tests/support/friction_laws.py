@@ -21,6 +21,8 @@ LAWS = 1e-9
 """Largest violation of a law."""
 CREATED = 2e-11
 """Largest energy that contacts may create, of that in the run."""
+SMALL = 1e-3
+"""An energy that is small in any of the scenes [J]."""
 SLIPS = 1e-6
 """Speeds of slip that have a direction, as a part of the largest speed."""
 
@@ -152,7 +154,7 @@ def judge_energy(trajectory: Any) -> dict[str, float]:
     }  # fmt: skip
     energies = [trajectory.channel(f"energy/{part}") for part in ("kinetic", "potential", "work")]
     energies[1] = energies[1] - energies[1][0]
-    size = max(float(np.abs(values).max()) for values in [*energies, *works.values()])
+    size = max(*(float(np.abs(values).max()) for values in [*energies, *works.values()]), SMALL)
     found = {
         name.split("/")[1]: float(np.max(np.diff(work), initial=0.0)) / size
         for name, work in works.items()

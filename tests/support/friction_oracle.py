@@ -206,7 +206,7 @@ class Oracle:
             J = np.zeros((6, self.nv))
             J[:, own] = np.eye(6)
             bodies[name] = Body(R, state.positions[k], J, np.zeros(6))
-            I = R @ np.diag(self.moments[k]) @ R.T  # noqa: E741
+            I = R @ np.diag(self.moments[k]) @ R.T
             inverse[own, own][:3, :3] = np.eye(3) / self.masses[k]
             inverse[own, own][3:, 3:] = R @ np.diag(1.0 / self.moments[k]) @ R.T
             force[own][:3] += self.masses[k] * self.gravity
@@ -296,6 +296,4 @@ def contact_motion(
         - B.bias[:3] - np.cross(B.bias[3:], r_B) - np.cross(w_B, r_B_rate)
     )  # fmt: skip
     # the frame turns with B
-    return ContactMotion(
-        gap, J, frame @ bias + np.cross(w_B, frame) @ slip, n, c, tangents
-    )
+    return ContactMotion(gap, J, frame @ bias + np.cross(w_B, frame) @ slip, n, c, tangents)

@@ -49,9 +49,11 @@ def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
 
     D, b : (3 N + B,) rows of N contacts, normal first, then of B bounded impulses ``x``
     """
-    contacts, change = mu.size, 0.0
+    contacts, change, largest = mu.size, 0.0, 0.0
     impulse = np.concatenate((p, x))
-    for sweep in range(most):
+    sweeps = 0
+    while sweeps < most:
+        sweeps += 1
         change, largest = 0.0, 0.0
         for k in range(contacts):
             n = 3 * k
@@ -82,7 +84,7 @@ def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
         if change <= tolerance * largest:
             break
     p[:], x[:] = impulse[: 3 * contacts], impulse[3 * contacts :]
-    return change / max(largest, 1e-300), sweep + 1
+    return change / max(largest, 1e-300), sweeps
 
 
 class _Bilateral(NamedTuple):
@@ -132,9 +134,7 @@ def _moved(oracle: Oracle, state: State, v: np.ndarray, h: float) -> State:
     count = len(oracle.objects)
     twists = v[: 6 * count].reshape(count, 6)
     turns = Rotation.from_rotvec(h * twists[:, 3:]).as_matrix()
-    joints = [
-        q + h * v[arm.columns] for arm, q in zip(oracle.arms, state.joints, strict=True)
-    ]
+    joints = [q + h * v[arm.columns] for arm, q in zip(oracle.arms, state.joints, strict=True)]
     return State(state.positions + h * twists[:, :3], turns @ state.rotations, joints, v)
 
 
@@ -156,6 +156,8 @@ class _Contacts:
 
     def place_all(self, bodies: dict[str, Body]) -> np.ndarray:
         """Gaps of all contacts; keeps what the rows need."""
+        if not self.all:
+            return np.zeros(0)
         R = np.array([bodies[name].rotation for name in self.names])
         x = np.array([bodies[name].origin for name in self.names])
         self._J = np.array([bodies[name].jacobian for name in self.names])
@@ -170,18 +172,28 @@ class _Contacts:
         self._r_B = from_base - self.radius[:, None] * n
         return np.einsum("ki,ki->k", n, from_base - plane) - self.radius
 
-    def jacobians(self, chosen: np.ndarray) -> np.ndarray:
-        """Rows of some contacts, (3 k, nv)."""
-        axes = self._axes[chosen]
+    def jacobians(self) -> np.ndarray:
+        """Rows of all contacts, (N, 3, nv)."""
+        axes = self._axes
 
         def rows(body: np.ndarray, r: np.ndarray) -> np.ndarray:
-            J = self._J[body[chosen]]
+            J = self._J[body]
             # n . (w x r) = (r x n) . w
-            turning = np.cross(r[chosen][:, None, :], axes)
-            return axes @ J[:, :3] + turning @ J[:, 3:]
+            return axes @ J[:, :3] + np.cross(r[:, None, :], axes) @ J[:, 3:]
 
-        J = rows(self.body, self._r_A) - rows(self.base, self._r_B)
-        return J.reshape(-1, J.shape[-1])
+        return rows(self.body, self._r_A) - rows(self.base, self._r_B)
+
+
+def _closed(
+    contacts: _Contacts, bodies: dict[str, Body], v: np.ndarray, h: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which contacts are closed in the middle of the step, and their rows."""
+    gap = contacts.place_all(bodies)
+    if not gap.size:
+        return np.zeros(0, dtype=bool), np.zeros((0, v.size))
+    J = contacts.jacobians()
+    closed = gap + 0.5 * h * (J[:, 0] @ v) <= 0.0
+    return closed, J[closed].reshape(-1, v.size)
 
 
 def _dry_friction(oracle: Oracle) -> tuple[np.ndarray, np.ndarray]:
@@ -227,29 +239,21 @@ def step_through(
             K = J @ to_rows
             free -= to_rows @ np.linalg.solve(K, J @ free + CLOSED / h * gap)
             inverse = inverse - to_rows @ np.linalg.solve(K, to_rows.T)
-        gap = contacts.place_all(bodies)
-        chosen = np.arange(len(contacts.all))
-        J_all = contacts.jacobians(chosen)
-        middle = gap + 0.5 * h * (J_all[::3] @ v)
-        chosen = np.flatnonzero(middle <= 0.0)
-        p[middle > 0.0] = 0.0
+        closed, J = _closed(contacts, bodies, v, h)
+        p[~closed] = 0.0
         new = free
-        if chosen.size or dry.size:
-            J = np.vstack([J_all.reshape(-1, 3, oracle.nv)[chosen].reshape(-1, oracle.nv),
-                           np.eye(oracle.nv)[dry]])  # fmt: skip
+        if np.any(closed) or dry.size:
+            normals = slice(0, 3 * int(np.sum(closed)), 3)
+            J = np.vstack([J, np.eye(oracle.nv)[dry]])
             to_v = inverse @ J.T
             b = J @ free
-            b[: 3 * chosen.size : 3] += contacts.restitution[chosen] * np.minimum(
-                J[: 3 * chosen.size : 3] @ v, 0.0
-            )
-            part = p[chosen].ravel()
+            b[normals] += contacts.restitution[closed] * np.minimum(J[normals] @ v, 0.0)
+            part = p[closed].ravel()
             change, count = solve_impulses(
-                J @ to_v, b, contacts.mu[chosen], part, h * torque, x, SOLVED, SWEEPS
+                J @ to_v, b, contacts.mu[closed], part, h * torque, x, SOLVED, SWEEPS
             )
-            p[chosen] = part.reshape(-1, 3)
+            p[closed] = part.reshape(-1, 3)
             residual, sweeps = max(residual, change), sweeps + count
             new = free + to_v @ np.concatenate([part, x])
         state = _moved(oracle, state, new, h)
     return Stepped(state, residual, sweeps)
-
-

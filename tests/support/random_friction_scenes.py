@@ -102,6 +102,12 @@ def corners_on_plane(sizes: Any, point: Any, normal: Any, prefix: str = "c") -> 
     ]
 
 
+def bottom_on_top(sizes: Any, height: float) -> list[Table]:
+    """Contacts of the lower corners of a box with the upper face of another, at a height."""
+    contacts = corners_on_plane(sizes, [0.0, 0.0, height], [0.0, 0.0, 1.0])
+    return [contact for contact in contacts if contact["arm"]["point"][2] < 0.0]
+
+
 def _press(forces: dict[str, float]) -> list[Table]:
     """Forces along x on the last links of the hands, against the object."""
     return [
@@ -224,8 +230,7 @@ def _stack(rng: np.random.Generator, count: int) -> tuple[dict[str, Table], list
         aside = rng.uniform(-0.03, 0.03, 2).round(3) if k else np.zeros(2)
         objects[name] = _box(sizes, _number(rng, 0.5, 4.0), [*aside, height + 0.5 * sizes[2]])
         if below is not None:
-            bottom = [c for c in corners_on_plane(
-                sizes, [0, 0, 0.5 * all_sizes[-1][2]], [0, 0, 1]) if c["arm"]["point"][2] < 0]  # fmt: skip
+            bottom = bottom_on_top(sizes, 0.5 * all_sizes[-1][2])
             joints.append({"between": [name, below], "kind": "contacts", "contacts": bottom})
         below, height = name, height + sizes[2]
         all_sizes.append(sizes)
@@ -273,9 +278,7 @@ def dry_joints_scene(rng: np.random.Generator) -> Table:
     half, height = 0.3, 0.5
     arms = {name: hand(side, np.array([side * half, 0, height])) for name, side in HANDS.items()}
     kinds = ["weld", str(rng.choice(["weld", "weld", "ball", "revolute"]))]
-    joints = [
-        {"arm": name, "kind": kind} for name, kind in zip(HANDS, kinds, strict=True)
-    ]
+    joints = [{"arm": name, "kind": kind} for name, kind in zip(HANDS, kinds, strict=True)]
     scale = _number(rng, 0.2, 3.0)
     friction = (scale * UR5_EFFORT * rng.uniform(0.3, 1.0, 6)).round(3).tolist()
     effects: Table = {
@@ -284,9 +287,7 @@ def dry_joints_scene(rng: np.random.Generator) -> Table:
     if rng.random() < 0.5:
         effects["joint_damping"] = _number(rng, 0.2, 3.0)
     control = str(rng.choice(["harmonic", "none", "joint_pd", "constant"]))
-    torques = {
-        name: (UR5_EFFORT * rng.uniform(-4.0, 4.0, 6)).round(3).tolist() for name in HANDS
-    }
+    torques = {name: (UR5_EFFORT * rng.uniform(-4.0, 4.0, 6)).round(3).tolist() for name in HANDS}
     scene: Table = {
         "gravity": DOWN,
         "object": _box([2 * half, 0.3, 0.3], _number(rng, 1.0, 8.0), [0, 0, height]),
@@ -296,8 +297,10 @@ def dry_joints_scene(rng: np.random.Generator) -> Table:
     }
     if control == "harmonic":
         phase = {name: rng.uniform(0, 6, 6).round(2).tolist() for name in HANDS}
-        scene["control"] = {"kind": control, "amplitude": torques, "phase": phase,
-                            "frequency": _number(rng, 1.0, 6.0)}  # fmt: skip
+        scene["control"] = {
+            "kind": control, "amplitude": torques, "phase": phase,
+            "frequency": _number(rng, 1.0, 6.0), "hold": bool(rng.random() < 0.5),
+        }  # fmt: skip
     elif control == "constant":
         scene["control"] = {"kind": control, "torques": torques}
     elif control == "joint_pd":
@@ -365,7 +368,8 @@ def mixed_scene(rng: np.random.Generator) -> Table:
     if rng.random() < 0.5:
         friction = (0.5 * UR5_EFFORT * rng.uniform(0.0, 1.0, 6)).round(3).tolist()
         effects["joint_friction"] = {
-            "torque": dict.fromkeys(HANDS, friction), "model": "set_valued"
+            "torque": dict.fromkeys(HANDS, friction),
+            "model": "set_valued",
         }
     scene["objects"] = {"box": body}
     for joint in scene["joints"]:
@@ -375,11 +379,8 @@ def mixed_scene(rng: np.random.Generator) -> Table:
         above = body["pose"]["xyz"][2] + half_height
         scene["objects"]["load"] = _box(sizes, _number(rng, 0.2, 2.0),
                                         [0.02, 0.01, above + 0.5 * sizes[2]])  # fmt: skip
-        bottom = [c for c in corners_on_plane(sizes, [0, 0, half_height], [0, 0, 1])
-                  if c["arm"]["point"][2] < 0]  # fmt: skip
-        scene["joints"].append(
-            {"between": ["load", "box"], "kind": "contacts", "contacts": bottom}
-        )
+        bottom = bottom_on_top(sizes, half_height)
+        scene["joints"].append({"between": ["load", "box"], "kind": "contacts", "contacts": bottom})
     return scene
 
 

@@ -1,6 +1,6 @@
 """Run random scenes with friction, each within a time limit, and list those that fail.
 
-    python tests/support/run_friction_scenes.py --family fingertips --number 60 --accuracy 1e-6
+python tests/support/run_friction_scenes.py --family fingertips --number 60 --accuracy 1e-6
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import yaml
 from random_friction_scenes import FAMILIES, draw
 
 SLOWEST = 120.0  # of a run [s]
@@ -119,7 +120,12 @@ def main() -> int:
     parser.add_argument("--accuracy", type=float, action="append", help="1e-4 and 1e-6 if none")
     parser.add_argument("--limit", type=float, default=SLOWEST, help="of a run [s]")
     parser.add_argument("--out", type=Path, help="append results to this file, a JSON a line")
+    parser.add_argument("--scene", type=Path, help="only write the first scene to this file")
     options = parser.parse_args()
+    if options.scene is not None:
+        table = draw((options.family or list(FAMILIES))[0], options.seed)
+        options.scene.write_text(yaml.safe_dump(table, sort_keys=False))
+        return 0
     worker, failed = Worker(options.limit), 0
     for family in options.family or FAMILIES:
         for accuracy in options.accuracy or (1e-4, 1e-6):
