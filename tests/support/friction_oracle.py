@@ -9,6 +9,7 @@ robots.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -110,7 +111,10 @@ class Mechanism(NamedTuple):
 
 
 def skew(r: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+    """Matrices of cross products with vectors, shape (..., 3, 3)."""
+    S = np.zeros((*r.shape, 3))
+    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = np.moveaxis(r, -1, 0)
+    return S - np.swapaxes(S, -1, -2)
 
 
 @cache
@@ -160,6 +164,7 @@ class Oracle:
         self.control = table.get("control", {"kind": "none"})
         self.damping = table["effects"].get("joint_damping", 0.0)
         self.wrenches = table["effects"].get("external_wrenches", [])
+        self.held = np.zeros(self.nv)
 
     def start(self) -> State:
         """As the table has it."""
@@ -176,13 +181,30 @@ class Oracle:
             np.concatenate([*np.array(twists, dtype=float), *rates]),
         )  # fmt: skip
 
+    @property
+    def follows(self) -> bool:
+        """Whether :meth:`drives` knows the torques of the control."""
+        return not self.control.get("gravity_compensation", False)
+
+    def hold(self, torques: Mapping[str, np.ndarray]) -> None:
+        """Let the control have these torques at the start, of each arm."""
+        if self.control.get("hold", False):
+            self.held = np.zeros(self.nv)
+            at_start = self.drives(0.0, self.start())
+            for arm in self.arms:
+                self.held[arm.columns] = torques[arm.name] - at_start[arm.columns]
+
     def drives(self, t: float, state: State) -> np.ndarray:
-        """Torques of the control, shape (nv,), of those that need no contact forces."""
-        control, found = self.control, np.zeros(self.nv)
+        """Torques of the control, shape (nv,).
+
+        ``held`` are those that a harmonic control adds to hold the start; compensation of gravity
+        needs forces of the contacts, and is refused.
+        """
+        control, found = self.control, self.held.copy()
         for arm, q in zip(self.arms, state.joints, strict=True):
             torque = found[arm.columns]
             if control["kind"] == "joint_pd":
-                assert not control["gravity_compensation"], "needs forces of the contacts"
+                assert self.follows
                 torque += control["stiffness"] * (arm.start - q)
                 torque -= control["damping"] * state.velocity[arm.columns]
             elif control["kind"] == "constant":
@@ -210,7 +232,7 @@ class Oracle:
             inverse[own, own][:3, :3] = np.eye(3) / self.masses[k]
             inverse[own, own][3:, 3:] = R @ np.diag(1.0 / self.moments[k]) @ R.T
             force[own][:3] += self.masses[k] * self.gravity
-            force[own][3:] -= np.cross(spin, I @ spin)
+            force[own][3:] -= skew(spin) @ (I @ spin)
         for arm, q in zip(self.arms, state.joints, strict=True):
             model, data, own = arm.model, arm.data, arm.columns
             rates = state.velocity[own]
@@ -232,7 +254,7 @@ class Oracle:
             pull = np.array(wrench["force"], dtype=float)
             if "sinusoid" in wrench:
                 pull = pull * math.sin(2.0 * math.pi * wrench["sinusoid"]["frequency"] * t)
-            force += body.jacobian.T @ np.concatenate([pull, np.cross(point, pull)])
+            force += body.jacobian.T @ np.concatenate([pull, skew(point) @ pull])
         return Mechanism(bodies, inverse, force)
 
     def _frame(self, arm: _Arm, frame: int) -> Body:

@@ -9,7 +9,8 @@ the impulses :math:`p` obey the laws of contact with :math:`u = J v^+` at the co
 would be closed in the middle of the step: :math:`0 \le p_n \perp u_n + e u_n^- \ge 0`,
 :math:`p_t \in \mu p_n \mathbb{D}` against :math:`u_t`; of dry joints :math:`|p| \le h c` against
 the rate.  They are found by projected Gauss-Seidel iterations, the disk exact.  Welds, balls and
-hinges are bilateral.  The error is of first order in the step (J. J. Moreau, Unilateral contact and
+hinges are bilateral.  The error is of first order in the step.  Where restitution together with
+friction would add energy, it is halved until it does not (J. J. Moreau, Unilateral contact and
 dry friction in finite freedom dynamics, 1988; M. Jean, The non-smooth contact dynamics method,
 1999).
 """
@@ -17,18 +18,20 @@ dry friction in finite freedom dynamics, 1988; M. Jean, The non-smooth contact d
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
 import numpy as np
 from friction_oracle import Body, Oracle, State, skew, tangents_of
-from random_friction_scenes import Table
 from scipy.spatial.transform import Rotation
 
 SOLVED = 1e-10
 """Change of the scaled impulses in a sweep, of the largest, with which iterations end."""
 SWEEPS = 20000
+# Work of the impulses of an impact that counts as none, as a part of all of it.
+ADDED = 1e-3
+# Rate of a gap of contacts that rest [m/s].
+RESTS = 1e-9
 # Part of a bilateral joint's gap that a step closes.
 CLOSED = 0.1
 # Rows of a joint in the tip's axes: three translations, three rotations.
@@ -138,6 +141,37 @@ def _moved(oracle: Oracle, state: State, v: np.ndarray, h: float) -> State:
     return State(state.positions + h * twists[:, :3], turns @ state.rotations, joints, v)
 
 
+class _Problem(NamedTuple):
+    """The impulses of a step: rows of contacts, normal first, then of bounded impulses."""
+
+    D: np.ndarray
+    free: np.ndarray  # rates without impulses
+    before: np.ndarray  # rates
+    mu: np.ndarray
+    restitution: np.ndarray
+    bounds: np.ndarray
+
+    def solve(self, p: np.ndarray, x: np.ndarray) -> tuple[float, int]:
+        """The impulses into ``p`` and ``x``; the last change and the sweeps.
+
+        Restitution is halved until impacts add no energy.
+        """
+        normals, sweeps = slice(0, p.size, 3), 0
+        hits = self.restitution * np.minimum(self.before[normals], 0.0)
+        while True:
+            b = self.free.copy()
+            b[normals] += hits
+            change, count = solve_impulses(self.D, b, self.mu, p, self.bounds, x, SOLVED, SWEEPS)
+            sweeps += count
+            impulse = np.concatenate([p, x])
+            after = self.free + self.D @ impulse
+            work = impulse[: p.size] * (self.before + after)[: p.size]
+            # loads between impacts add a little of their own
+            if np.sum(work) <= ADDED * np.sum(np.abs(work)) or not np.any(hits):
+                return change, sweeps
+            hits = np.where(np.abs(hits) > RESTS, 0.5 * hits, 0.0)
+
+
 class _Contacts:
     """Contacts of a scene in arrays: gaps of all, Jacobians of some."""
 
@@ -178,8 +212,7 @@ class _Contacts:
 
         def rows(body: np.ndarray, r: np.ndarray) -> np.ndarray:
             J = self._J[body]
-            # n . (w x r) = (r x n) . w
-            return axes @ J[:, :3] + np.cross(r[:, None, :], axes) @ J[:, 3:]
+            return axes @ (J[:, :3] - skew(r) @ J[:, 3:])
 
         return rows(self.body, self._r_A) - rows(self.base, self._r_B)
 
@@ -208,19 +241,8 @@ def _dry_friction(oracle: Oracle) -> tuple[np.ndarray, np.ndarray]:
     return columns, torque[columns]
 
 
-def step_through(
-    table: Table,
-    duration: float,
-    h: float = 1e-5,
-    drives: Callable[[float, State], np.ndarray] | None = None,
-) -> Stepped:
-    """Step from the start of a table.
-
-    drives : callable, optional
-        Torques (nv,) of the control at a time and a state; those of the table by default.
-    """
-    oracle = Oracle(table)
-    drives = drives or oracle.drives
+def step_through(oracle: Oracle, duration: float, h: float = 1e-5) -> Stepped:
+    """Step from the start of a scene, under its control."""
     contacts = _Contacts(oracle)
     dry, torque = _dry_friction(oracle)
     state = oracle.start()
@@ -231,7 +253,7 @@ def step_through(
         t, v = k * h, state.velocity
         mechanism = oracle.mechanism(t, state)
         inverse, bodies = mechanism.inverse_inertia, mechanism.bodies
-        free = v + h * (inverse @ (mechanism.force + drives(t, state)))
+        free = v + h * (inverse @ (mechanism.force + oracle.drives(t, state)))
         if joints:
             rows, gaps = zip(*(_bilateral_rows(j, bodies) for j in joints), strict=True)
             J, gap = np.vstack(rows), np.concatenate(gaps)
@@ -243,15 +265,14 @@ def step_through(
         p[~closed] = 0.0
         new = free
         if np.any(closed) or dry.size:
-            normals = slice(0, 3 * int(np.sum(closed)), 3)
             J = np.vstack([J, np.eye(oracle.nv)[dry]])
             to_v = inverse @ J.T
-            b = J @ free
-            b[normals] += contacts.restitution[closed] * np.minimum(J[normals] @ v, 0.0)
+            problem = _Problem(
+                J @ to_v, J @ free, J @ v, contacts.mu[closed], contacts.restitution[closed],
+                h * torque,
+            )  # fmt: skip
             part = p[closed].ravel()
-            change, count = solve_impulses(
-                J @ to_v, b, contacts.mu[closed], part, h * torque, x, SOLVED, SWEEPS
-            )
+            change, count = problem.solve(part, x)
             p[closed] = part.reshape(-1, 3)
             residual, sweeps = max(residual, change), sweeps + count
             new = free + to_v @ np.concatenate([part, x])
