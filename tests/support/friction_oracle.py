@@ -183,28 +183,30 @@ class Oracle:
 
     @property
     def follows(self) -> bool:
-        """Whether :meth:`drives` knows the torques of the control."""
-        return not self.control.get("gravity_compensation", False)
+        """Whether :meth:`drives` knows the torques of the control.
+
+        Compensation of gravity depends on the contacts by which welds and hinges are idealised, and
+        with several objects on how forces and moments are weighed that contacts cannot carry.
+        """
+        if not self.control.get("gravity_compensation", False):
+            return True
+        kinds = {joint["kind"] for joint in self.table["joints"]}
+        return kinds == {"contacts"} and len(self.objects) == 1
 
     def hold(self, torques: Mapping[str, np.ndarray]) -> None:
-        """Let the control have these torques at the start, of each arm."""
+        """Let a control that holds the start have these torques there, of each arm."""
         if self.control.get("hold", False):
-            self.held = np.zeros(self.nv)
-            at_start = self.drives(0.0, self.start())
+            self.held, state = np.zeros(self.nv), self.start()
+            at_start = self.drives(0.0, state, self.mechanism(0.0, state).bodies)
             for arm in self.arms:
                 self.held[arm.columns] = torques[arm.name] - at_start[arm.columns]
 
-    def drives(self, t: float, state: State) -> np.ndarray:
-        """Torques of the control, shape (nv,).
-
-        ``held`` are those that a harmonic control adds to hold the start; compensation of gravity
-        needs forces of the contacts, and is refused.
-        """
+    def drives(self, t: float, state: State, bodies: dict[str, Body]) -> np.ndarray:
+        """Torques of the control, shape (nv,)."""
         control, found = self.control, self.held.copy()
         for arm, q in zip(self.arms, state.joints, strict=True):
             torque = found[arm.columns]
             if control["kind"] == "joint_pd":
-                assert self.follows
                 torque += control["stiffness"] * (arm.start - q)
                 torque -= control["damping"] * state.velocity[arm.columns]
             elif control["kind"] == "constant":
@@ -215,6 +217,28 @@ class Oracle:
                 torque += np.array(control["amplitude"][arm.name]) * np.sin(angle + phase)
             else:
                 assert control["kind"] == "none"
+        if control.get("gravity_compensation", False):
+            found += self._carrying(state, bodies)
+        return found
+
+    def _carrying(self, state: State, bodies: dict[str, Body]) -> np.ndarray:
+        """Torques that carry the arms, and the objects by the smallest normal forces.
+
+        Those of all contacts of joints, open ones too; of what these cannot carry, what is nearest.
+        """
+        assert self.follows
+        found, free = np.zeros(self.nv), 6 * len(self.objects)
+        for arm, q in zip(self.arms, state.joints, strict=True):
+            found[arm.columns] = pin.computeGeneralizedGravity(arm.model, arm.data, q)
+        rows = np.vstack([
+            contact_motion(contact, bodies, state.velocity).jacobian[0]
+            for contact in self.contacts
+            if contact.pushes_base
+        ])  # fmt: skip
+        weight = np.zeros((len(self.objects), 6))
+        weight[:, :3] = -self.masses[:, None] * self.gravity
+        force = np.linalg.lstsq(rows[:, :free].T, weight.ravel(), rcond=1e-9)[0]
+        found[free:] -= rows[:, free:].T @ force
         return found
 
     def mechanism(self, t: float, state: State) -> Mechanism:

@@ -253,7 +253,7 @@ def step_through(oracle: Oracle, duration: float, h: float = 1e-5) -> Stepped:
         t, v = k * h, state.velocity
         mechanism = oracle.mechanism(t, state)
         inverse, bodies = mechanism.inverse_inertia, mechanism.bodies
-        free = v + h * (inverse @ (mechanism.force + oracle.drives(t, state)))
+        free = v + h * (inverse @ (mechanism.force + oracle.drives(t, state, bodies)))
         if joints:
             rows, gaps = zip(*(_bilateral_rows(j, bodies) for j in joints), strict=True)
             J, gap = np.vstack(rows), np.concatenate(gaps)
