@@ -111,6 +111,15 @@ def test_the_judge_sees_a_box_that_is_not_where_its_forces_are(sliding, lift, la
     assert figures[law] == pytest.approx(1e-8, rel=1e-3)
 
 
+@pytest.mark.slow
+def test_the_judge_sees_dry_joints_with_another_friction():
+    table = draw("dry_joints", 5)
+    trajectory = simulate_table(table, 1e-4)
+    friction = table["effects"]["joint_friction"]["torque"]
+    friction["left"] = [1.001 * torque for torque in friction["left"]]
+    assert judge_laws(table, trajectory)["dry torque not against the rate"] > 1e-5
+
+
 def test_the_judge_sees_works_that_grow(sliding):
     _, trajectory = sliding
     works = {"effects/contact_friction/work": np.linspace(0.0, 1e-6, len(trajectory))}

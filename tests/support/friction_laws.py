@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from friction_oracle import Oracle, State, contact_motion
+from friction_oracle import Oracle, State, contact_motion, skew
 from random_friction_scenes import Table
 from scipy.spatial.transform import Rotation
 
@@ -73,11 +73,59 @@ def judge_laws(table: Table, trajectory: Any) -> dict[str, float]:
     """The largest violation of each law in any sample; see the module.
 
     Accelerations of scenes with dry joints or joints that are not ``contacts`` are not judged, for
-    their forces are not all recorded.
+    their forces are not all recorded; dry friction is where arms with six joints are welded to
+    the only object.
     """
     oracle = Oracle(table)
-    if not oracle.contacts:
-        return {}
+    welded = [joint["arm"] for joint in table["joints"] if joint["kind"] == "weld"]
+    if "joint_friction" in table["effects"] and welded:
+        return _dry_joint_laws(oracle, trajectory, welded)
+    return _contact_laws(oracle, trajectory)
+
+
+def _dry_joint_laws(oracle: Oracle, trajectory: Any, welded: list[str]) -> dict[str, float]:
+    """Laws of dry joints in arms that are welded to the object, all of whose wrenches are recorded.
+
+    The object's acceleration follows from the wrenches, those of the joints from it, and from these
+    the torques that nothing else explains.
+    """
+    friction = oracle.table["effects"]["joint_friction"]["torque"]
+    arms = [arm for arm in oracle.arms if arm.name in welded]
+    excess, against = 0.0, 0.0
+    rates = np.concatenate([trajectory.joint_velocities[arm.name] for arm in arms], axis=1)
+    V = max(float(np.abs(rates).max()), 1e-3)
+    for k in range(len(trajectory)):
+        state = state_at(oracle, trajectory, k)
+        mechanism = oracle.mechanism(float(trajectory.time[k]), state)
+        wrenches = {arm.name: trajectory.wrenches[arm.name][k] for arm in oracle.arms}
+        object_force = mechanism.force[:6] + sum(wrenches.values())
+        acceleration = mechanism.inverse_inertia[:6, :6] @ object_force
+        spin = state.velocity[3:6]
+        for arm in arms:
+            tip, own = mechanism.bodies[arm.name], arm.columns
+            r = tip.origin - state.positions[0]
+            of_tip = acceleration.copy()
+            of_tip[:3] += skew(acceleration[3:]) @ r + skew(spin) @ (skew(spin) @ r)
+            J = tip.jacobian[:, own]
+            joints = np.linalg.solve(J, of_tip - tip.bias)
+            force = wrenches[arm.name][:3]
+            moment = wrenches[arm.name][3:] - skew(r) @ force  # about the tip
+            others = mechanism.force[own] - J.T @ np.concatenate([force, moment])
+            torques = trajectory.joint_torques
+            if arm.name in torques and torques[arm.name].shape[1]:
+                others = others + torques[arm.name][k]
+            inertia = np.linalg.inv(mechanism.inverse_inertia[own, own])
+            torque, most = inertia @ joints - others, np.array(friction[arm.name])
+            size = max(float(np.abs(others).max()), float(most.max()))
+            excess = max(excess, float(np.max(np.abs(torque) - most)) / size)
+            moves = np.abs(state.velocity[own]) > SLIPS * V
+            left = torque + most * np.sign(state.velocity[own])
+            against = max(against, float(np.max(np.abs(left), where=moves, initial=0.0)) / size)
+    return {"dry torque too large": excess, "dry torque not against the rate": against}
+
+
+def _contact_laws(oracle: Oracle, trajectory: Any) -> dict[str, float]:
+    table = oracle.table
     recorded = _Recorded(oracle, trajectory)
     whole = "joint_friction" not in table["effects"] and all(
         joint["kind"] == "contacts" for joint in table["joints"]
