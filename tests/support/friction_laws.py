@@ -140,7 +140,7 @@ def _contact_laws(oracle: Oracle, trajectory: Any) -> dict[str, float]:
         force = []
         for i, (contact, motion) in enumerate(zip(oracle.contacts, contacts, strict=True)):
             total = recorded.force(i, k, mechanism.bodies[contact.base].rotation)
-            force.append(np.vstack([motion.normal, motion.tangents]) @ total)
+            force.append(motion.frame @ total)
         total = mechanism.force.copy()
         for arm in oracle.arms:
             torques = trajectory.joint_torques

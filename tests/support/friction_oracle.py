@@ -33,7 +33,7 @@ class WrittenContact(NamedTuple):
     radius: float  # [m]
     base: str  # the body of the plane
     place: np.ndarray  # (3,) of the plane, in its body's frame [m]
-    normal: np.ndarray  # (3,) out of the plane's body, in its frame
+    frame: np.ndarray  # (3, 3) normal out of the plane's body and two tangents, in its frame
     mu: float | None
     restitution: float
     pushes_base: bool  # whether results have the force on the plane's body
@@ -62,7 +62,7 @@ def contacts_of(table: Table) -> list[WrittenContact]:
                 channel, k, ends[0],
                 np.array(first["point"] if sphere is None else sphere["center"]),
                 0.0 if sphere is None else sphere["radius"],
-                ends[1], np.array(plane["point"]), np.array(plane["normal"]),
+                ends[1], np.array(plane["point"]), _frame_of(plane["normal"]),
                 None if friction is None else friction["mu"],
                 unilateral.get("restitution", 0.0), True,
             ))  # fmt: skip
@@ -74,10 +74,18 @@ def contacts_of(table: Table) -> list[WrittenContact]:
                 found.append(WrittenContact(
                     f"floor/{name}" if len(objects) > 1 else "floor", k, name, point, 0.0, WORLD,
                     np.array(floor.get("at", {}).get("xyz", [0.0, 0.0, 0.0])),
-                    np.array([0.0, 0.0, 1.0]), floor.get("mu"), floor.get("restitution", 0.0),
+                    _frame_of([0.0, 0.0, 1.0]), floor.get("mu"), floor.get("restitution", 0.0),
                     False,
                 ))  # fmt: skip
     return found
+
+
+def _frame_of(normal: Any) -> np.ndarray:
+    """A unit normal and two tangents, shape (3, 3)."""
+    n = np.array(normal, dtype=float)
+    first = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
+    first /= np.linalg.norm(first)
+    return np.array([n, first, np.cross(n, first)])
 
 
 def objects_of(table: Table) -> dict[str, Table]:
@@ -113,8 +121,9 @@ class Mechanism(NamedTuple):
 def skew(r: np.ndarray) -> np.ndarray:
     """Matrices of cross products with vectors, shape (..., 3, 3)."""
     S = np.zeros((*r.shape, 3))
-    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = np.moveaxis(r, -1, 0)
-    return S - np.swapaxes(S, -1, -2)
+    S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = r[..., 0], r[..., 1], r[..., 2]
+    S[..., 1, 2], S[..., 2, 0], S[..., 0, 1] = -r[..., 0], -r[..., 1], -r[..., 2]
+    return S
 
 
 @cache
@@ -303,16 +312,8 @@ class ContactMotion(NamedTuple):
     gap: float
     jacobian: np.ndarray
     bias: np.ndarray
-    normal: np.ndarray  # (3,) world
+    frame: np.ndarray  # (3, 3) normal and tangents, world
     point: np.ndarray  # (3,) world
-    tangents: np.ndarray  # (2, 3) world
-
-
-def tangents_of(normal: np.ndarray) -> np.ndarray:
-    """Two unit vectors across a normal, shape (2, 3); the same for the same normal."""
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(normal, first)])
 
 
 def contact_motion(
@@ -320,26 +321,24 @@ def contact_motion(
 ) -> ContactMotion:
     """Gap, Jacobian and bias of a contact; the tangents are fixed in the plane's body."""
     A, B = bodies[contact.body], bodies[contact.base]
-    n = B.rotation @ contact.normal
-    tangents = tangents_of(contact.normal) @ B.rotation.T
+    frame = contact.frame @ B.rotation.T
+    n = frame[0]
     to_centre = A.rotation @ contact.point
     centre = A.origin + to_centre
     gap = float(n @ (centre - B.origin - B.rotation @ contact.place)) - contact.radius
     r_A, c = to_centre - contact.radius * n, centre - contact.radius * n
     r_B = c - B.origin
-    frame = np.vstack([n, tangents])
-    at_A = np.hstack([np.eye(3), -skew(r_A)])
-    at_B = np.hstack([np.eye(3), -skew(r_B)])
-    J = frame @ (at_A @ A.jacobian - at_B @ B.jacobian)
+    across_A, across_B = -skew(r_A), -skew(r_B)  # w x r = across w
+    J = frame @ (A.jacobian[:3] + across_A @ A.jacobian[3:])
+    J -= frame @ (B.jacobian[:3] + across_B @ B.jacobian[3:])
     v_A, v_B = A.jacobian @ velocity, B.jacobian @ velocity
-    w_A, w_B = v_A[3:], v_B[3:]
-    n_rate = np.cross(w_B, n)
-    r_A_rate = np.cross(w_A, to_centre) - contact.radius * n_rate
+    W_A, W_B = skew(v_A[3:]), skew(v_B[3:])
+    r_A_rate = W_A @ to_centre - contact.radius * (W_B @ n)
     r_B_rate = v_A[:3] + r_A_rate - v_B[:3]
-    slip = v_A[:3] + np.cross(w_A, r_A) - v_B[:3] - np.cross(w_B, r_B)
+    slip = v_A[:3] + W_A @ r_A - v_B[:3] - W_B @ r_B
     bias = (
-        A.bias[:3] + np.cross(A.bias[3:], r_A) + np.cross(w_A, r_A_rate)
-        - B.bias[:3] - np.cross(B.bias[3:], r_B) - np.cross(w_B, r_B_rate)
+        A.bias[:3] + across_A @ A.bias[3:] + W_A @ r_A_rate
+        - B.bias[:3] - across_B @ B.bias[3:] - W_B @ r_B_rate
     )  # fmt: skip
     # the frame turns with B
-    return ContactMotion(gap, J, frame @ bias + np.cross(w_B, frame) @ slip, n, c, tangents)
+    return ContactMotion(gap, J, frame @ bias + (W_B @ frame.T).T @ slip, frame, c)

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from friction_oracle import Body, Oracle, State, skew, tangents_of
+from friction_oracle import Body, Oracle, State, skew
 from scipy.spatial.transform import Rotation
 
 SOLVED = 1e-10
@@ -47,6 +47,14 @@ class Stepped(NamedTuple):
 
 
 @numba.njit(cache=True)
+def _rate(D, b, impulse, row):  # pragma: no cover
+    total = b[row]
+    for column in range(impulse.size):
+        total += D[row, column] * impulse[column]
+    return total
+
+
+@numba.njit(cache=True)
 def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
     """Projected Gauss-Seidel from ``p`` and ``x``; the last change and the sweeps.
 
@@ -60,7 +68,7 @@ def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
         change, largest = 0.0, 0.0
         for k in range(contacts):
             n = 3 * k
-            u = D[n] @ impulse + b[n]
+            u = _rate(D, b, impulse, n)
             new = max(0.0, impulse[n] - u / D[n, n])
             change = max(change, abs(new - impulse[n]))
             impulse[n] = new
@@ -70,8 +78,8 @@ def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
             half = 0.5 * (D[n + 1, n + 1] - D[n + 2, n + 2])
             size = 0.5 * (D[n + 1, n + 1] + D[n + 2, n + 2])
             size += math.sqrt(half * half + D[n + 1, n + 2] ** 2)
-            first = impulse[n + 1] - (D[n + 1] @ impulse + b[n + 1]) / size
-            second = impulse[n + 2] - (D[n + 2] @ impulse + b[n + 2]) / size
+            first = impulse[n + 1] - _rate(D, b, impulse, n + 1) / size
+            second = impulse[n + 2] - _rate(D, b, impulse, n + 2) / size
             length = math.sqrt(first * first + second * second)
             if length > radius:
                 first, second = first * radius / length, second * radius / length
@@ -79,7 +87,7 @@ def solve_impulses(D, b, mu, p, bounds, x, tolerance, most):  # pragma: no cover
             impulse[n + 1], impulse[n + 2] = first, second
         for j in range(bounds.size):
             row = 3 * contacts + j
-            new = impulse[row] - (D[row] @ impulse + b[row]) / D[row, row]
+            new = impulse[row] - _rate(D, b, impulse, row) / D[row, row]
             new = min(bounds[j], max(-bounds[j], new))
             change = max(change, abs(new - impulse[row]))
             largest = max(largest, abs(new))
@@ -182,8 +190,7 @@ class _Contacts:
         self.base = np.array([self.names.index(c.base) for c in self.all], dtype=int)
         self.point = np.array([c.point for c in self.all], dtype=float).reshape(-1, 3)
         self.place = np.array([c.place for c in self.all], dtype=float).reshape(-1, 3)
-        frames = [np.vstack([c.normal, tangents_of(c.normal)]) for c in self.all]
-        self.frame = np.array(frames).reshape(-1, 3, 3)
+        self.frame = np.array([c.frame for c in self.all]).reshape(-1, 3, 3)
         self.radius = np.array([c.radius for c in self.all])
         self.mu = np.array([c.mu or 0.0 for c in self.all])
         self.restitution = np.array([c.restitution for c in self.all])
