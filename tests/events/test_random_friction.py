@@ -179,7 +179,7 @@ def test_errors_of_the_time_stepping_are_of_first_order(sliding):
 )
 def test_a_run_ends_where_the_time_stepping_does(family, seed, h):
     """It is late by a step at an impact, which changes speeds by up to 10 m/s or rad/s."""
-    assert beside_stepping(draw(family, seed), 1e-6, h) < 10.0 * h
+    assert beside_stepping(draw(family, seed), 1e-6, h).apart < 10.0 * h
 
 
 @pytest.mark.slow
