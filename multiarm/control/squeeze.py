@@ -80,13 +80,14 @@ def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) ->
     by_owner = model.layout.split_contacts(of_rows)
     for connection, forces in by_connection.items():
         records = model.contacts[connection]
-        names = [record.name for record in records if isinstance(record, Contact)]
+        places = [k for k, r in enumerate(records) if isinstance(r, Contact) and r.tangent == 0]
+        names = [records[k].name for k in places]
         if len(forces) != len(names):
             raise ControlError(
                 f"control.internal_forces.{connection}: {count_of(len(forces), 'force')} for "
                 f"{count_of(len(names), 'contact')}; give one each: {', '.join(names)}"
             )
-        by_owner[connection][: len(names)] = forces
+        by_owner[connection][places] = forces
     return of_rows
 
 
