@@ -131,7 +131,7 @@ class UnilateralConstraints:
     @property
     def grips(self) -> tuple[Constraint, ...]:
         """The contacts that only push and have friction."""
-        return tuple(c for c in self.contacts if c.tangents and not c.bilateral)
+        return tuple(c for c in self.contacts if c.mu > 0.0 and not c.bilateral)
 
     def counting_friction(self) -> UnilateralConstraints:
         """The same for control that counts the friction of contacts that only push."""

@@ -106,22 +106,23 @@ def gravity_compensation_by_friction(address, size, at, _t):
     """Add the torques with which contacts carry the objects within friction; returns an answer."""
     struct = struct_at(address, size)
     model, data, work = open_system(struct)
-    law, torque, weight = (
-        open_friction(struct, at),
-        data.control.torque,
-        data.control.object_wrench,
-    )
+    torque, weight = data.control.torque, data.control.object_wrench
     clear(weight)
     add_weights(model, weight)
-    desired = np.zeros(data.rows.static_force.size)
-    status = distribute_within_friction(
-        weight, data.rows.W_o, law.pushing, law.friction, law.least, desired,
-        data.rows.static_force,
-    )  # fmt: skip
+    answer = carry_by_friction(open_friction(struct, at), weight, data.rows)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
-    return status
+    return answer
+
+
+@allocating
+def carry_by_friction(law, weight, rows):
+    """Write the contact forces within friction that carry the weight; returns an answer."""
+    desired = np.zeros(rows.static_force.size)
+    return distribute_within_friction(
+        weight, rows.W_o, law.pushing, law.friction, law.least, desired, rows.static_force
+    )
 
 
 @inlined

@@ -248,8 +248,8 @@ class _Carrying(SampledControl):
     def _squeeze_by_friction(self) -> Self:
         if self.squeeze > 0.0 and self.friction_margin is None:
             raise invalid(
-                "'squeeze' belongs to fingertips whose friction is counted; name 'friction_margin', "
-                "the part of it that is not to be used, such as 0.2"
+                "'squeeze' belongs to fingertips whose friction is counted; name "
+                "'friction_margin', the part of it that is not to be used, such as 0.2"
             )
         return self
 
