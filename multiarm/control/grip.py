@@ -79,6 +79,12 @@ class Grip:
         """Whether the law counts friction."""
         return bool(self.friction.pushing.size)
 
+    @property
+    def tangents(self) -> frozenset[int]:
+        """Rows of the tangents of contacts that only push."""
+        pushing, friction = self.friction.pushing, self.friction.friction
+        return frozenset((pushing[friction > 0.0, None] + [1, 2]).ravel().tolist())
+
 
 def grip_of(control: GrippingControl, context: ControlContext, moved: Sequence[str] = ()) -> Grip:
     """The grip of a control; of a law of the object that puts every wrench on ``moved`` ones.

@@ -302,7 +302,8 @@ def object_law(control: ObjectControl, grip: Grip, paths: Mapping[str, PosePath]
     data = grip.context.data
     if data.model.layout.passive_joints:
         _require_idle(data, control)
-    desired = desired_forces(data, control, () if grip.counts_friction else list(paths))
+    squeezed = () if grip.counts_friction else list(paths)
+    desired = desired_forces(data, control, squeezed, grip.tangents)
     if isinstance(control, ComputedTorqueControl):  # a spring may pull against a joint
         _require_closed(grip.context, paths)
     return ObjectLaw(
