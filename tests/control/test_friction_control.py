@@ -115,6 +115,24 @@ def test_the_law_commands_forces_within_the_margin_that_exert_its_wrench(lifted)
     assert np.all(np.linalg.norm(force[:, 1:], axis=1) < 0.8 * 0.6 * force[:, 0])
 
 
+def test_slips_die_out_in_the_motion_that_the_law_commands():
+    """The box moves along its ends: tangents have ``W_o a + W q'' + bias = -delta slip``."""
+    system = compiled(computed_torque(relative_damping=7.0))
+    state = system.state(object_twist=[0, 0.02, -0.01, 0, 0, 0])
+    with system.borrow() as data:
+        laws = data.of_laws
+        laws.set_state(0.0, state)
+        require_ok(laws, evaluate_state(laws.struct, 0.0, 0.0))
+        (command,) = laws.law_works
+        change = laws.arrays.rows.W_o @ command.acceleration + laws.contact_rows.gap_bias
+        for i in range(2):
+            contacts = slice(9 * i, 9 * i + 9)
+            change[contacts] += laws.work.W[i][:6, :9].T @ command.a_j[6 * i : 6 * i + 6]
+        slip = laws.contact_rows.gap_rate.copy()
+    assert np.abs(slip).max() > 0.009
+    np.testing.assert_allclose(change, -7.0 * slip, atol=1e-9)
+
+
 @pytest.mark.parametrize("squeeze", [20.0, 60.0])
 def test_a_squeeze_is_the_mean_square_of_the_forces_without_weight(squeeze):
     system = ma.compile_system(
