@@ -170,7 +170,7 @@ def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
     def path(paths: Mapping[str, tuple[Waypoint, ...]]) -> JointPath:
         return joint_path(scene, closed, start, paths, compile_system)
 
-    return control_program(ControlContext(scene, closed, start, path))
+    return control_program(ControlContext(scene, closed, start, path, data))
 
 
 def _with_arms(scene: Scene, arms: str | None) -> Scene:

@@ -93,6 +93,7 @@ def unilateral_constraints(
         records=rows.records,
         constraints=tuple(rows.constraints),
         model=tuple(rows.model),
+        of_laws=tuple(rows.model),
         assembled=tuple(sorted([*rows.bilateral, *unable_to_open]) if as_written else rows.model),
         bilateral=tuple(rows.bilateral),
         compliant=rows.compliant_contacts(),

@@ -146,6 +146,8 @@ def with_control(model: Model, control: ControlProgram) -> Model:
         constants = with_held_control(
             constants, constants.control, are_differentiable(control.laws), control.sampling.delay
         )
+    if control.counts_friction:
+        model = model.counting_friction()
     controlled = replace(
         model,
         constants=constants,

@@ -61,11 +61,11 @@ def _weight_not_carried(system: System) -> list[str]:
     if scene.gravity is None or not any(scene.gravity) or not scene.control.carries:
         return []
     with system.borrow() as data:
-        closed = data.closed
-        start, size = system.initial_state(), scene_size(closed)
-        left = uncarried_weight(closed, start)
-        hanging = uncarried_bases(closed, start)
-        idle = uncarried_joints(closed, start)
+        of_laws = data.of_laws
+        start, size = system.initial_state(), scene_size(of_laws)
+        left = uncarried_weight(of_laws, start)
+        hanging = uncarried_bases(of_laws, start)
+        idle = uncarried_joints(of_laws, start)
     return [
         *_objects_not_carried(system, left, size),
         *(

@@ -104,7 +104,10 @@ class UnilateralConstraints:
     constraints : tuple of Constraint
         In the order of their rows.
     model : tuple of int
-        Rows of the scene without effects, which are the controllers' model.
+        Rows of the scene without effects.
+    of_laws : tuple of int
+        Rows that control laws see: those of the model, and where the control counts friction the
+        tangents of contacts that only push.
     assembled : tuple of int
         Rows of the model that are closed at the start, which is projected on them.
     bilateral : tuple of int
@@ -115,6 +118,7 @@ class UnilateralConstraints:
     records: dict[str, list[Record]]
     constraints: tuple[Constraint, ...]
     model: tuple[int, ...]
+    of_laws: tuple[int, ...]
     assembled: tuple[int, ...]
     bilateral: tuple[int, ...]
     compliant: CompliantContacts | None
@@ -123,6 +127,16 @@ class UnilateralConstraints:
     def contacts(self) -> tuple[Constraint, ...]:
         """The contacts among the constraints."""
         return tuple(constraint for constraint in self.constraints if constraint.kind == CONTACT)
+
+    @property
+    def grips(self) -> tuple[Constraint, ...]:
+        """The contacts that only push and have friction."""
+        return tuple(c for c in self.contacts if c.mu > 0.0 and not c.bilateral)
+
+    def counting_friction(self) -> UnilateralConstraints:
+        """The same for control that counts the friction of contacts that only push."""
+        tangents = [row for contact in self.grips for row in contact.tangents]
+        return replace(self, of_laws=tuple(sorted([*self.model, *tangents])))
 
     @property
     def enforced(self) -> frozenset[int]:

@@ -19,6 +19,9 @@ inverse dynamics at rest under these forces, :math:`dW_o\,\lambda` that of their
 object, and :math:`dW_o^T y` that of the rates of the gaps while the object moves with the twist y
 and the arms rest.
 
+*By friction*, where the scene has a ``friction_margin``, contacts carry the weight with the forces
+of :mod:`multiarm.dynamics.forces.friction`; derivatives are differences then.
+
 *Floating bases and passive joints* have no drives either: with the rows :math:`g_b, W_b` of their
 wrenches and torques, the forces of least norm satisfy :math:`W_b\lambda = g_b` besides, so that
 joints with the world, and the object where others hold it, carry these robots.  The derivatives are
@@ -44,23 +47,25 @@ from multiarm.control.command_derivatives import (
     open_derivatives,
     prepare_command_derivatives,
 )
+from multiarm.control.grip import ANSWERS, Friction, grip_of
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, open_system
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
-from multiarm.dynamics.control_laws import ControlLaw, view_of_work
+from multiarm.dynamics.control_laws import ControlLaw, view_of_law, view_of_work
 from multiarm.dynamics.coordinates import block_columns, column_of_state, force_columns
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equation_derivatives import open_equations, write_derivatives_at_rest
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import static_forces
+from multiarm.dynamics.forces.friction import distribute_within_friction
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK, SINGULAR
 from multiarm.jit.kernels import allocating, cfunc, clear, copy, inlined, kernel
 from multiarm.jit.pointers import address_of, call_whole
 from multiarm.jit.structs import struct_at
 from multiarm.robots.terms import BASE_DOF
-from multiarm.scene.control import GravityCompensationControl
+from multiarm.scene.control import GravityCompensationControl, JointPDControl
 
 
 class CarryingWork(NamedTuple):
@@ -76,6 +81,7 @@ class CarryingWork(NamedTuple):
 
 
 open_carrying = view_of_work(CarryingWork)
+open_friction = view_of_law(Friction)
 
 
 @cfunc
@@ -93,6 +99,30 @@ def gravity_compensation(address, size, _at, _t):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
     return OK
+
+
+@cfunc
+def gravity_compensation_by_friction(address, size, at, _t):
+    """Add the torques with which contacts carry the objects within friction; returns an answer."""
+    struct = struct_at(address, size)
+    model, data, work = open_system(struct)
+    torque, weight = data.control.torque, data.control.object_wrench
+    clear(weight)
+    add_weights(model, weight)
+    answer = carry_by_friction(open_friction(struct, at), weight, data.rows)
+    for j in range(torque.size):
+        torque[j] += data.control.gravity_torque[j]
+    add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
+    return answer
+
+
+@allocating
+def carry_by_friction(law, weight, rows):
+    """Write the contact forces within friction that carry the weight; returns an answer."""
+    desired = np.zeros(rows.static_force.size)
+    return distribute_within_friction(
+        weight, rows.W_o, law.pushing, law.friction, law.least, desired, rows.static_force
+    )
 
 
 @inlined
@@ -242,6 +272,24 @@ def carrying_laws(context: ControlContext) -> tuple[ControlLaw, ...]:
     return (law,)
 
 
+def carrying_grip(
+    control: GravityCompensationControl | JointPDControl, context: ControlContext
+) -> tuple[tuple[ControlLaw, ...], bool]:
+    """The law that carries the weight, where there is one, and whether it counts friction.
+
+    Raises
+    ------
+    ControlError
+        See :func:`multiarm.control.grip.grip_of`.
+    """
+    carries = control.compensates_gravity and control.friction_margin is not None
+    grip = grip_of(control, context) if carries else None
+    if grip is None:
+        return carrying_laws(context), False
+    law = ControlLaw(gravity_compensation_by_friction, grip.friction, answers=ANSWERS)
+    return (law,), True
+
+
 def reach_with(carrying: tuple[ControlLaw, ...]) -> int:
     """What torques depend on, of which these laws and others of each robot alone are parts."""
     if not carrying:
@@ -250,11 +298,11 @@ def reach_with(carrying: tuple[ControlLaw, ...]) -> int:
 
 
 def gravity_compensation_program(
-    _control: GravityCompensationControl, context: ControlContext
+    control: GravityCompensationControl, context: ControlContext
 ) -> ControlProgram:
-    """The law of gravity compensation; without gravity there is none."""
-    carrying = carrying_laws(context)
-    return ControlProgram(carrying, reach=reach_with(carrying))
+    """The law of gravity compensation; without gravity there is none but by friction."""
+    carrying, counts_friction = carrying_grip(control, context)
+    return ControlProgram(carrying, reach=reach_with(carrying), counts_friction=counts_friction)
 
 
 def holding_torque(data: Data, start: State) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.control.gravity_compensation import carrying_laws, reach_with
+from multiarm.control.gravity_compensation import carrying_grip, reach_with
 from multiarm.control.program import ControlContext, ControlProgram, JointPath
 from multiarm.dynamics.arrays import open_data
 from multiarm.dynamics.control_laws import ControlLaw, view_of_law
@@ -99,9 +99,10 @@ def joint_pd_program(control: JointPDControl, context: ControlContext) -> Contro
         path = context.joint_path(paths)
     stiffness, damping = context.stacked(control.stiffness), context.stacked(control.damping)
     numbers = JointPD(stiffness, damping, path.bounds, np.ascontiguousarray(path.coefficients))
-    carrying = carrying_laws(context)
+    carrying, counts_friction = carrying_grip(control, context)
     return ControlProgram(
         (ControlLaw(joint_pd, numbers, differentiate_joint_pd), *carrying),
         breakpoints=path.bounds if paths else np.zeros(0),
         reach=reach_with(carrying),
+        counts_friction=counts_friction,
     )

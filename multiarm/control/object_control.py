@@ -30,12 +30,15 @@ With a stiffness of the free motions the robots hold their poses on the object i
 (:mod:`multiarm.control.null_space`).
 
 The internal forces of a squeeze come on top (:mod:`multiarm.control.squeeze`).  With passive joints
-contact forces of least norm also satisfy :math:`(\tau_i)_p = 0`.
+contact forces of least norm also satisfy :math:`(\tau_i)_p = 0`.  Where friction is counted
+(:mod:`multiarm.control.grip`), contact forces are those in the middle of its cones, contacts that
+only push stick as far as the law knows, and their slips die out at the rate :math:`\delta`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -44,6 +47,7 @@ from multiarm.contacts.kernel import open_contact
 from multiarm.control.command_derivatives import prepare_command_derivatives
 from multiarm.control.followers import write_followers
 from multiarm.control.gravity_compensation import add_weights, carry_undriven
+from multiarm.control.grip import ANSWERS, Grip, grip_of
 from multiarm.control.null_space import hold_poses, nearest_accelerations
 from multiarm.control.object_derivatives import (
     differentiate_command,
@@ -70,10 +74,12 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.forces.compiled import distribute_wrench, static_forces
+from multiarm.dynamics.forces.friction import distribute_within_friction
 from multiarm.dynamics.momenta import times_block_inertia
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError
-from multiarm.jit.kernels import Kernel, cfunc, clear, kernel
+from multiarm.jit.kernels import Kernel, cfunc, clear, inlined, kernel
 from multiarm.jit.structs import struct_at
 from multiarm.jit.vectors import sub, vec
 from multiarm.scene.control import ComputedTorqueControl, ObjectImpedanceControl, Waypoint
@@ -110,10 +116,11 @@ def computed_torque(address, size, at, t):
         target[k] = -open_contact(data.rows.kinematics[k]).gap_bias
         for a in range(desired.size):
             target[k] -= data.rows.W_o[k, a] * desired[a]
+    stop_slips(law, command, data)
     add_motion_forces(law, command, True, model, data, work)
-    write_contact_forces(law, model, data, work)
+    status = write_contact_forces(law, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
-    return 0
+    return status
 
 
 @cfunc
@@ -132,10 +139,12 @@ def object_impedance(address, size, at, t):
     add_weights(model, wrench)
     for j in range(control.torque.size):
         control.torque[j] += control.gravity_torque[j]
+    clear(command.target)
+    stop_slips(law, command, data)
     add_motion_forces(law, command, False, model, data, work)
-    write_contact_forces(law, model, data, work)
+    status = write_contact_forces(law, model, data, work)
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, data.control.torque)
-    return 0
+    return status
 
 
 @kernel
@@ -173,9 +182,15 @@ def write_spring_wrench(t, law, path, position, velocity, wrench):
 def write_contact_forces(law, model, data, work):
     """Distribute the wrenches on objects over the contacts; writes ``data.rows.static_force``.
 
-    After all other torques, which contact forces take over from passive joints.
+    After all other torques, which contact forces take over from passive joints.  Returns ``OK``,
+    or ``BEYOND_FRICTION``.
     """
     wrench, rows = data.control.object_wrench, data.rows
+    if law.pushing.size > 0:
+        return distribute_within_friction(
+            wrench, rows.W_o, law.pushing, law.friction, law.least, law.forces_of_contacts,
+            rows.static_force,
+        )  # fmt: skip
     if model.undriven.size > 0:
         carry_undriven(model, data, work, data.control.torque)
     elif law.squeezes:
@@ -185,6 +200,17 @@ def write_contact_forces(law, model, data, work):
         )  # fmt: skip
     else:
         static_forces(rows.W_o, wrench, rows.static_force)
+    return OK
+
+
+@inlined
+def stop_slips(law, command, data):
+    """Let the slips of contacts that are to stick die out as free motions do."""
+    for i in range(law.pushing.size):
+        if law.friction[i] > 0.0:
+            for k in range(law.pushing[i] + 1, law.pushing[i] + 3):
+                slip = open_contact(data.rows.kinematics[k]).gap_rate
+                command.target[k] -= law.free_rate * slip
 
 
 @kernel
@@ -235,14 +261,21 @@ def _program(
     law: Kernel, derivatives: Kernel, control: ObjectControl, context: ControlContext
 ) -> ControlProgram:
     paths = _paths(control, context)
-    numbers = object_law(control, context, paths)
-    prepare = partial(prepare_command_derivatives, derivatives)
-    law_of_objects = ControlLaw(
-        law, numbers, differentiate_command, ObjectCommand, prepare, reads_inertias=True
-    )
+    grip = grip_of(control, context, list(paths))
+    numbers = object_law(control, grip, paths)
+    law_of_objects = ControlLaw(law, numbers, work=ObjectCommand, reads_inertias=True)
+    if grip.counts_friction:
+        law_of_objects = replace(law_of_objects, answers=ANSWERS)
+    else:
+        prepare = partial(prepare_command_derivatives, derivatives)
+        law_of_objects = replace(law_of_objects, derivative=differentiate_command, prepare=prepare)
     written = control.paths(context.start.layout.objects)
     times = [path.times for name, path in paths.items() if written[name]]
-    return ControlProgram((law_of_objects,), np.unique(np.concatenate([np.zeros(0), *times])))
+    return ControlProgram(
+        (law_of_objects,),
+        np.unique(np.concatenate([np.zeros(0), *times])),
+        counts_friction=grip.counts_friction,
+    )
 
 
 def _paths(control: ObjectControl, context: ControlContext) -> dict[str, PosePath]:
@@ -255,26 +288,22 @@ def _paths(control: ObjectControl, context: ControlContext) -> dict[str, PosePat
     return paths
 
 
-def object_law(
-    control: ObjectControl, context: ControlContext, paths: Mapping[str, PosePath]
-) -> ObjectLaw:
-    """Numbers of a law that moves objects along paths.
+def object_law(control: ObjectControl, grip: Grip, paths: Mapping[str, PosePath]) -> ObjectLaw:
+    """Numbers of a law that moves objects along paths, with the grip at its start.
 
     Raises
     ------
     ControlError
-        When the contacts cannot put every wrench on these objects, or cannot have the internal
-        forces of the scene, or the paths would open a joint between objects.
+        When the contacts cannot have the internal forces of the scene, or the paths would open a
+        joint between objects.
     """
-    data = context.data
-    data.set_state(0.0, context.start)
-    require_ok(data, update_kinematics(data.struct))
-    _require_hold(data, list(paths), control.kind)
+    data = grip.context.data
     if data.model.layout.passive_joints:
         _require_idle(data, control)
-    desired = desired_forces(data, control, list(paths))
+    squeezed = () if grip.counts_friction else list(paths)
+    desired = desired_forces(data, control, squeezed, grip.tangents)
     if isinstance(control, ComputedTorqueControl):  # a spring may pull against a joint
-        _require_closed(context, paths)
+        _require_closed(grip.context, paths)
     return ObjectLaw(
         np.array([data.model.layout.objects.index(name) for name in paths]),
         control.stiffness.vector(),
@@ -282,29 +311,10 @@ def object_law(
         control.relative_damping,
         control.relative_stiffness,
         any(np.any(forces) for forces in desired[:2]),
+        *grip.friction,
         *desired,
         *PosePaths.of([*paths.values()]),
     )
-
-
-def _require_hold(data: Data, moved: Sequence[str], kind: str) -> None:
-    """Refuse contacts that cannot put every wrench on the objects that are ``moved``."""
-    W_o, objects = data.arrays.rows.W_o, data.model.layout.objects
-    moments = W_o.reshape(len(W_o), -1, 6)[:, :, 3:]
-    lever = max(float(np.max(np.linalg.norm(moments, axis=2), initial=0.0)), 1e-12)
-    scale = np.tile([1.0, 1.0, 1.0, lever, lever, lever], len(objects))
-    loose = null_space(W_o / scale).basis
-    for name in moved:
-        first = 6 * objects.index(name)
-        of_object = loose[first : first + 6]
-        rank = 6 - int(np.linalg.matrix_rank(of_object, 1e-6)) if of_object.size else 6
-        if rank < 6:
-            what = "the object" if len(objects) == 1 else f"the object '{name}'"
-            raise ControlError(
-                f"control: {kind} needs contacts that can put every force and moment on {what}, "
-                f"but all {len(W_o)} together span only {rank} of 6 directions: it can turn or "
-                f"slide in them freely; add an arm, or join one with fewer free motions"
-            )
 
 
 def _require_closed(context: ControlContext, paths: Mapping[str, PosePath]) -> None:

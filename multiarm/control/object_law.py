@@ -25,6 +25,10 @@ class ObjectLaw(NamedTuple):
     free_rate: Float  # of the arms' free motions [1/s]
     free_stiffness: Float  # of the arms' free motions [1/s^2]; 0: they are not held
     squeezes: Flag  # whether there are internal forces
+    # see multiarm.control.grip; of forces within friction
+    pushing: Ints1  # (C,) none: friction is not counted
+    friction: Floats1  # (C,)
+    least: Float  # [N]
     # see multiarm.control.squeeze
     forces_of_contacts: Floats1  # (N,) [N]
     wrenches_of_connections: Floats2  # (C, 6) axes of the object that is pressed [N, N m]

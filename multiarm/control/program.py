@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,12 +38,15 @@ class ControlContext:
     start : State
     joint_path : callable
         ``joint_path(paths)``: joint positions with which objects pass their waypoints.
+    full : Data
+        With all rows of the scene, closed or not.
     """
 
     scene: Scene
     data: Data
     start: State
     joint_path: Callable[..., JointPath]
+    full: Data
 
     @property
     def arms(self) -> dict[str, Robot]:
@@ -59,6 +62,17 @@ class ControlContext:
     def start_angles(self) -> np.ndarray:
         """Joint positions at the start, shape (n,) [rad, m]."""
         return self.start.layout.joint_positions(self.start.position)
+
+    @property
+    def can_grip(self) -> bool:
+        """Whether some contacts only push and have friction."""
+        unilateral = self.full.model.unilateral
+        return unilateral is not None and bool(unilateral.grips)
+
+    def counting_friction(self) -> ControlContext:
+        """The same with the tangents of contacts that only push among the rows."""
+        full = self.full.view(self.full.model.counting_friction())
+        return replace(self, data=full.of_laws, full=full)
 
     def stacked(self, values: Any) -> np.ndarray:
         """One number for every joint of all arms, from a scene's gain, table or list.
@@ -92,6 +106,9 @@ class ControlProgram:
         (``LOCAL``), also the multipliers of the last law (``CARRYING``,
         :mod:`multiarm.dynamics.control_laws`), or anything (``COUPLED``).  Derivatives cost less
         where it is less, and are wrong where it is more than this says.
+    counts_friction : bool
+        The laws see the tangents of contacts that only push among the rows, see
+        :meth:`ControlContext.counting_friction`.
     """
 
     laws: tuple[ControlLaw, ...] = ()
@@ -100,6 +117,7 @@ class ControlProgram:
     python: PythonControl | None = None
     sampling: Sampling | None = None
     reach: int = COUPLED
+    counts_friction: bool = False
 
 
 def needs_gravity_torque(scene: Scene) -> bool:

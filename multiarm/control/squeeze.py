@@ -5,11 +5,14 @@ is a combination of pushing forces (thesis, 3.7.3) with the mean that the scene 
 joints hold both ways; there every connection of the object presses towards the middle of all
 grips.  Of several objects, those that the law moves are squeezed, each between its hands and the
 world: what connects it to other objects takes no part.
+
+Where friction is counted, contacts are squeezed by the forces in the middle of its cones
+(:mod:`multiarm.dynamics.forces.friction`), without those above.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -39,16 +42,24 @@ class DesiredForces(NamedTuple):
 
 
 def desired_forces(
-    data: Data, control: ComputedTorqueControl | ObjectImpedanceControl, moved: Sequence[str]
+    data: Data,
+    control: ComputedTorqueControl | ObjectImpedanceControl,
+    moved: Sequence[str],
+    tangents: Collection[int] = (),
 ) -> DesiredForces:
     """The desired forces of a scene, at the start in the data; ``moved`` objects are squeezed.
+
+    ``tangents`` are rows of friction, which are not named.
 
     Raises
     ------
     ControlError
         When the contacts cannot have such internal forces.
     """
-    model, of_contacts = data.model, _named_forces(data.model, control.internal_forces or {})
+    model, of_contacts = (
+        data.model,
+        _named_forces(data.model, control.internal_forces or {}, tangents),
+    )
     of_connections = np.zeros((len(model.layout.owners), 6))
     pressed = np.zeros(len(model.layout.owners), dtype=np.int64)
     if not (control.squeeze or control.internal_forces):
@@ -74,19 +85,27 @@ def desired_forces(
     return DesiredForces(of_contacts, of_connections, pressed)
 
 
-def _named_forces(model: Model, by_connection: Mapping[str, Sequence[float]]) -> np.ndarray:
-    """The forces of contacts (N,) that a scene names; zero for all others."""
+def _named_forces(
+    model: Model, by_connection: Mapping[str, Sequence[float]], tangents: Collection[int]
+) -> np.ndarray:
+    """The forces of contacts (N,) that a scene names; zero for all others and for ``tangents``."""
     of_rows = np.zeros(model.layout.contacts)
     by_owner = model.layout.split_contacts(of_rows)
     for connection, forces in by_connection.items():
         records = model.contacts[connection]
-        names = [record.name for record in records if isinstance(record, Contact)]
+        first = model.layout.contacts_of(model.layout.owners.index(connection)).start
+        places = [
+            k
+            for k, record in enumerate(records)
+            if isinstance(record, Contact) and first + k not in tangents
+        ]
+        names = [records[k].name for k in places]
         if len(forces) != len(names):
             raise ControlError(
                 f"control.internal_forces.{connection}: {count_of(len(forces), 'force')} for "
                 f"{count_of(len(names), 'contact')}; give one each: {', '.join(names)}"
             )
-        by_owner[connection][: len(names)] = forces
+        by_owner[connection][places] = forces
     return of_rows
 
 

@@ -57,8 +57,8 @@ Effects are built in the same way (:mod:`multiarm.dynamics.effect_kernels`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -121,6 +121,8 @@ class ControlLaw:
         ``prepare(data, work)``, called before derivatives are taken: makes what these need.
     share_derivative : Kernel, optional
         Like ``derivative``, at fixed multipliers, see above.
+    answers : mapping int -> str
+        What answers of it other than 0 stand for, and what to do, as messages say it.
     reads_inertias : bool
         Whether it reads the inertias of blocks, ``work.M``: these are then written in every
         evaluation, and no block is eliminated by factors.
@@ -133,6 +135,7 @@ class ControlLaw:
     prepare: Callable[[Any, Any], None] | None = None
     share_derivative: Kernel | None = None
     reads_inertias: bool = False
+    answers: Mapping[int, str] = field(default_factory=dict)
 
     @cached_property
     def struct(self) -> np.ndarray:

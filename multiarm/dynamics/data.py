@@ -370,12 +370,21 @@ class Data:
 
     @property
     def of_laws(self) -> Data:
-        """The data in which control laws are evaluated: these, unless others have been set."""
-        return self if self._of_laws is None else self._of_laws
+        """The data in which control laws are evaluated.
+
+        The view of :meth:`Model.of_laws`, unless others have been set.
+        """
+        if self._of_laws is None:
+            unilateral = self.model.unilateral
+            if unilateral is None:
+                return self
+            same = unilateral.of_laws == unilateral.model
+            self._of_laws = self.closed if same else self.view(self.model.of_laws())
+        return self._of_laws
 
     @of_laws.setter
-    def of_laws(self, closed: Data) -> None:
-        self._of_laws = closed
+    def of_laws(self, data: Data) -> None:
+        self._of_laws = data
 
     # --- compiled code ----------------------------------------------------------------------------
 

@@ -198,13 +198,13 @@ def control_of_closed(address, size, _a, _b):
     Returns a status.
     """
     data = open_data(struct_at(address, size))
-    closed = referenced(data.modes.closed)
-    model, of_closed, work = open_system(closed)
-    contact_rows(closed, model, of_closed, work)
+    of_laws = referenced(data.modes.of_laws)
+    model, of_closed, work = open_system(of_laws)
+    contact_rows(of_laws, model, of_closed, work)
     constraint_matrices(model, of_closed, work)
     load_inertias(of_closed, work)
     load_gravity_torque(of_closed, work)
-    return control_torques(closed, model.control.shape[0], model, of_closed)
+    return control_torques(of_laws, model.control.shape[0], model, of_closed)
 
 
 @inlined

@@ -123,6 +123,9 @@ def joint_text(pair: Connection) -> str:
 def _kernel_text(data: Data) -> str:
     """Which control law or effect returned which answer of its own."""
     model, status = data.model, data.arrays.status
+    for law in model.laws:
+        if is_at(law.kernel, status.kernel) and status.answer in law.answers:
+            return law.answers[status.answer]
     kernels = [("effect", k) for e in model.effects.kernels for k in (e.kernel, e.derivative)]
     for law in model.laws:
         of_law = law.kernel, law.derivative, law.share_derivative

@@ -285,7 +285,7 @@ def differentiate_control(struct, differences):
 def differentiate_laws(struct, differences, model, data):
     """Let the laws add their derivatives; returns a status, ``SINGULAR`` where one has none."""
     status = OK
-    of_laws = referenced(data.modes.closed) if data.modes.active else struct
+    of_laws = referenced(data.modes.of_laws) if data.modes.active else struct
     for k in range(differences.laws):
         if status == OK:
             status = call_derivative(model.control, k, DERIVATIVE, of_laws, data)

@@ -263,10 +263,22 @@ class Model:
         It is without friction, compliance, joint stops and surroundings; joints with dry friction
         move freely.  Without unilateral contacts it is the model itself.
         """
+        return self if self.unilateral is None else self._with_closed(self.unilateral.model)
+
+    def of_laws(self) -> Model:
+        """The model that control laws see: with all contacts closed, those that grip stick."""
+        return self if self.unilateral is None else self._with_closed(self.unilateral.of_laws)
+
+    def counting_friction(self) -> Model:
+        """The same model for control that counts the friction of contacts that only push."""
         if self.unilateral is None:
             return self
+        return replace(self, unilateral=self.unilateral.counting_friction())
+
+    def _with_closed(self, rows: Sequence[int]) -> Model:
+        """The model with these rows, as bilateral constraints."""
         effects = self.effects.with_contacts_closed()
-        model = replace(self.select(self.unilateral.model), effects=effects, unilateral=None)
+        model = replace(self.select(rows), effects=effects, unilateral=None)
         return model.with_constants(**effect_constants(effects))
 
     def select(self, rows: Sequence[int] | np.ndarray) -> Model:

@@ -12,8 +12,9 @@ Data                rows of W                           made by, and for
 ==================  ==================================  ============================================
 ``full``            all                                 ``Data(model)``: evaluations and runs; with
                                                         unilateral contacts: gaps and guards
-``closed``          those of the joints, all closed     ``Data.closed``: what control laws
-                                                        evaluate; inverse dynamics
+``closed``          those of the joints, all closed     ``Data.closed``: inverse dynamics
+``of_laws``         the same; where control counts      ``Data.of_laws``: what control laws
+                    friction, tangents besides          evaluate
 ``modes.data``      those that hold in a mode           ``events.modes.Modes``, a ``RowSelection``:
                                                         the run and its steps
 ``modes.data        tangents of the contacts that       the same: directions of slip

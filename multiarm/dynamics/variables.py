@@ -298,7 +298,7 @@ class ModeStructs(References):
     """Addresses of further structs, and the mode, of scenes with unilateral contacts."""
 
     active: Flag  # the rows are those of a mode; else there are none of these structs
-    closed: Int  # with all contacts of the joints closed, as controllers assume
+    of_laws: Int  # with all contacts of the joints closed, as controllers assume
     full: Int  # with all rows
     tangents: Int  # with the tangents of the sliding contacts
     mode: Int  # the mode's guards, numbers and slides, see multiarm.events

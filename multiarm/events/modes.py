@@ -54,7 +54,9 @@ class Modes:
     full : Data
         With all rows: gaps, rates and directions of those that are not held, too.
     closed : Data
-        With all contacts of the joints closed, as controllers assume them.
+        With all contacts of the joints closed.
+    of_laws : Data
+        The same for control laws, where these count friction with tangents.
     bilateral : Data
         With the rows that are always held: how the bodies respond to forces in the others.
     data : RowSelection
@@ -75,12 +77,12 @@ class Modes:
         unilateral = full.model.unilateral
         assert unilateral is not None, "a system with unilateral contacts"
         self.full, self.unilateral, self.slow = full, unilateral, slow
-        self.closed = full.closed
+        self.closed, self.of_laws = full.closed, full.of_laws
         self.bilateral = self._always(unilateral.bilateral)
         self._structs = ModeStructs(active=True)
-        self._structs.refer(closed=self.closed.reference, full=full.reference)
+        self._structs.refer(of_laws=self.of_laws.reference, full=full.reference)
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
-        self.data.of_laws = self.closed
+        self.data.of_laws = self.of_laws
         self._functions = functions = self.data.arrays.functions
         functions.contact_forces = address_of(record_forces)
         functions.guards, functions.accept = address_of(check_guards), address_of(accept_mode_step)
@@ -128,9 +130,9 @@ class Modes:
         """Data with fixed rows, in which control and effects act as in all modes."""
         data = self.full.view(replace(self.full.model.select(rows), unilateral=None))
         modes = ModeStructs(active=True)
-        modes.refer(closed=self.closed.reference)
+        modes.refer(of_laws=self.of_laws.reference)
         data.replace_arrays(modes=modes)
-        data.of_laws = self.closed
+        data.of_laws = self.of_laws
         return data
 
     # --- the mode that has been entered -----------------------------------------------------------

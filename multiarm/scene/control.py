@@ -34,7 +34,15 @@ from multiarm.scene.joint_values import (
 from multiarm.scene.registry import AnyClass, Registry, UserKind
 from multiarm.scene.spec import FilePath, Spec
 from multiarm.scene.text import parse_yaml
-from multiarm.scene.values import NonNegative, Number, Pose, Positive, WorldAxes, list_of
+from multiarm.scene.values import (
+    NonNegative,
+    Number,
+    Pose,
+    Positive,
+    WorldAxes,
+    finite_number,
+    list_of,
+)
 
 
 class ControlKind(UserKind):
@@ -223,7 +231,30 @@ class ConstantControl(ControlKind):
     """A table 'arm: torques'."""
 
 
-class GravityCompensationControl(SampledControl):
+FrictionMargin = Annotated[float, Field(ge=0.0, lt=1.0), BeforeValidator(finite_number)]
+
+
+class _Carrying(SampledControl):
+    """Keys of control that carries the object: how fingertips hold it by friction."""
+
+    friction_margin: FrictionMargin | None = None
+    """Count the friction of contacts that only push: forces stay within its cones, and this part of
+    each coefficient of friction is not used. Absent: friction is not counted."""
+    squeeze: NonNegative = 0.0
+    """With ``friction_margin``: how hard fingertips press an object without weight, in the root of
+    the mean square [N]; 0: a tenth of their share of the weight."""
+
+    @model_validator(mode="after")
+    def _squeeze_by_friction(self) -> Self:
+        if self.squeeze > 0.0 and self.friction_margin is None:
+            raise invalid(
+                "'squeeze' belongs to fingertips whose friction is counted; name "
+                "'friction_margin', the part of it that is not to be used, such as 0.2"
+            )
+        return self
+
+
+class GravityCompensationControl(_Carrying):
     """The arms carry themselves and the object: torques that hold the whole system still."""
 
     picture = "arms and object float: a push by hand moves them, and nothing falls"
@@ -237,7 +268,7 @@ class GravityCompensationControl(SampledControl):
         return True
 
 
-class JointPDControl(_SomeObjects):
+class JointPDControl(_SomeObjects, _Carrying):
     """Joint springs and dampers about a reference, which may follow paths of objects.
 
     Attributes
@@ -270,6 +301,15 @@ control:
     """[N m s/rad] or [N s/m]: one for all joints, one per joint, or a table by arm."""
     gravity_compensation: bool = True
     """Add the torques that hold the whole system, arms and object, still."""
+
+    @model_validator(mode="after")
+    def _friction_carries(self) -> Self:
+        if self.friction_margin is not None and not self.gravity_compensation:
+            raise invalid(
+                "'friction_margin' is of the forces that carry the object; leave it out, or "
+                "'gravity_compensation: false'"
+            )
+        return self
 
     @property
     def compensates_gravity(self) -> bool:
@@ -480,7 +520,13 @@ class _Hold(SampledControl):
     squeeze: NonNegative = 0.0
     """How hard the arms press the object between them [N]: fingertips, which can only push, press
     so hard in the mean; arms with idealised joints each press so hard towards the middle of all
-    grips. Of several objects, each that is moved."""
+    grips. Of several objects, each that is moved. Where friction is counted, fingertips press so
+    hard without a load, in the root of the mean square, and harder as the load needs it; 0: a tenth
+    of their share of the weight."""
+    friction_margin: FrictionMargin | None = None
+    """Count the friction of contacts that only push: forces stay within its cones, and this part of
+    each coefficient of friction is not used. Absent: friction is counted, with 0.2, where contacts
+    cannot put every wrench on the object without it."""
     internal_forces: dict[str, ContactForces] | None = None
     """A table 'arm: forces' [N], one for each contact of the arm's joint, or of another by its
     name; the part that is not internal is removed."""

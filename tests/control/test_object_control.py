@@ -289,7 +289,8 @@ def test_spring_moment_is_the_slope_of_its_energy(rng):
         x, x_r = rng.standard_normal((2, 3))
         zero = np.zeros((1, 3))
         still = PosePath(np.array([0.0, 1.0]), x_r[None], zero, rest.as_quat()[None], zero)
-        no_forces = np.zeros(0), np.zeros((0, 6)), np.zeros(0, dtype=int)
+        no_friction = np.zeros(0, dtype=int), np.zeros(0), 0.0
+        no_forces = *no_friction, np.zeros(0), np.zeros((0, 6)), np.zeros(0, dtype=int)
         paths = PosePaths.of([still])
         law = ObjectLaw(np.array([0]), stiffness, np.zeros(6), 0.0, 0.0, False, *no_forces, *paths)
 
