@@ -13,6 +13,7 @@ from multiarm.scene.settings import (
     STABILIZATIONS,
     ArmTerms,
     Integrator,
+    Painleve,
     SolverName,
     Stabilization,
 )
@@ -88,6 +89,7 @@ Tolerance = Annotated[float | None, setting("tolerance", "T")]
 Closing = Annotated[Stabilization | None, setting("stabilization", "NAME", *STABILIZATIONS)]
 OutputStep = Annotated[float | None, setting("output_step", "S")]
 MostSteps = Annotated[float | None, setting("most_steps", "M")]
+AtPainleve = Annotated[Painleve | None, setting("painleve", "NAME", *get_args(Painleve))]
 Solver = Annotated[SolverName | None, setting("solver", "NAME", *get_args(SolverName))]
 Arms = Annotated[ArmTerms | None, setting("arms", "NAME", *ARM_TERMS)]
 

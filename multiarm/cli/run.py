@@ -16,6 +16,7 @@ from multiarm.cli.options import (
     METHOD,
     AccuracyOfRun,
     Arms,
+    AtPainleve,
     Closing,
     Duration,
     JsonFile,
@@ -70,6 +71,7 @@ def run(
     stabilization: Closing = None,
     output_step: OutputStep = None,
     most_steps: MostSteps = None,
+    painleve: AtPainleve = None,
     solver: Solver = None,
     arms: Arms = None,
     certificate: Annotated[
@@ -147,6 +149,7 @@ def run(
         stabilization=stabilization,
         output_step=output_step,
         most_steps=most_steps,
+        painleve=painleve,
         solver=solver,
         arms=arms,
     )

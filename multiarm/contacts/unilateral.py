@@ -130,8 +130,9 @@ class UnilateralConstraints:
 
     @property
     def grips(self) -> tuple[Constraint, ...]:
-        """The contacts that only push and have friction."""
-        return tuple(c for c in self.contacts if c.mu > 0.0 and not c.bilateral)
+        """The contacts of joints that only push and have friction; not those with the floor."""
+        contacts = (c for c in self.contacts if c.row in self.model)
+        return tuple(c for c in contacts if c.mu > 0.0 and not c.bilateral)
 
     def counting_friction(self) -> UnilateralConstraints:
         """The same for control that counts the friction of contacts that only push."""

@@ -40,7 +40,7 @@ from multiarm.errors import SolverError
 from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.modes import Modes
-from multiarm.events.transition import Decision, Participants, Transition
+from multiarm.events.transition import Participants, Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
 SLOW = 1e-9
@@ -91,11 +91,8 @@ def enter_mode_at(data: Data, t: float, state: State) -> Modes:
     touching, off_patch, _ = touching_constraints(modes, t, state)
     participants = Participants(touching, off_patch=off_patch)
     forget_forces(modes.guards)
-
-    def decide(ahead: float) -> Decision:
-        return Transition(modes, participants, ahead=ahead).decide(with_impacts=False)
-
-    decision, holds = enter_consistent_mode(modes, decide)
+    decision = Transition(modes, participants).decide(with_impacts=False)
+    decision, holds = enter_consistent_mode(modes, decision)
     if decision.undecided:
         raise SolverError(decision.undecided.message)
     if not holds:  # it is refused where it cannot be evaluated

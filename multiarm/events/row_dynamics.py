@@ -12,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.dynamics.contact_geometry import block_inertias, force_directions
-from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import (
     evaluate_state,
@@ -39,6 +38,11 @@ class RowDynamics:
         """Kinematics of all rows."""
         require_ok(self.bilateral, update_kinematics(self.bilateral.struct))
         require_ok(self.full, update_rows(self.full.struct))
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """All gaps [m, rad]."""
+        return self.full.contact_rows.gap
 
     @property
     def rates(self) -> np.ndarray:
@@ -81,26 +85,12 @@ class RowDynamics:
             first += len(inertia)
         return total
 
-    def free_accelerations(self, rows: list[int], data: Data, ahead: float) -> np.ndarray:
-        """Accelerations of gaps with the rows of ``data`` held, a time ``ahead`` [s] later.
-
-        There is no force on the other rows.
-        """
-        b = data.arrays
-        now, here = b.time.now, b.state.configuration.copy()
-        if ahead > 0.0:
-            b.time.now += ahead
-            b.state.configuration[:] = retract(data.model.layout, here, ahead * b.state.velocity)
-        try:
-            require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
-            require_ok(self.full, update_rows(self.full.struct))
-            bias = self.full.contact_rows.gap_bias[rows]
-            free = self.jacobian(rows) @ b.accelerations.a + bias
-        finally:
-            b.time.now, b.state.configuration[:] = now, here
-        if ahead > 0.0:
-            self.update()
-        return free
+    def free_accelerations(self, rows: list[int], data: Data) -> np.ndarray:
+        """Accelerations of gaps with the rows of ``data`` held, and no force on the other rows."""
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        require_ok(self.full, update_rows(self.full.struct))
+        bias = self.full.contact_rows.gap_bias[rows]
+        return self.jacobian(rows) @ data.arrays.accelerations.a + bias
 
 
 def can_move(response: np.ndarray, along: np.ndarray, held: list[int]) -> bool:

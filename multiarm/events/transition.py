@@ -9,17 +9,14 @@ place of its rate (Newton's law of restitution), and friction opposes the slip a
 (J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988).  Where Newton's
 law together with friction would add energy, restitution is reduced until it does not.
 
-*Contacts that hold both ways* and have friction obey Coulomb's law with the magnitude of their
-normal force.  Each is taken for one that only pushes, or only pulls: on the side where it does not
-open.
-
 The result is a :class:`Decision`, whose events :mod:`multiarm.events.decision_events` tells.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Set
+from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,27 +29,19 @@ from multiarm.dynamics.solver.bounds import (
 )
 from multiarm.errors import SolverError
 from multiarm.events.complementarity import (
+    NO_SOLUTION,
     Bounded,
     ComplementaritySolution,
     ContactLaw,
-    ContactMode,
-    Friction,
-    Push,
-    Sliding,
     Verdict,
-    solve,
 )
+from multiarm.events.contact_laws import energy_added, law_of, solve_sides
 from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes, set_constraint_forces
 from multiarm.events.row_dynamics import RowDynamics, can_move, depends_on_held_rows
 from multiarm.events.states_by_forces import StatesByForces
 from multiarm.results.contact_states import ContactState
-
-NO_SIDES = (
-    "contacts that hold both ways find no motion with their friction: wherever one pushes it would "
-    "have to pull, and the other way round; lessen 'mu'"
-)
 
 
 @dataclass(frozen=True)
@@ -81,7 +70,8 @@ class Undecided:
     Attributes
     ----------
     verdict : Verdict
-        ``NONE``: no motion obeys the contact laws; ``SEVERAL``: more than one does.
+        ``NONE``: no motion obeys the contact laws; ``NOT_FOUND``: none was found that does;
+        ``SEVERAL``: more than one does.
     message : str
         The same in a sentence, with the remedy.
     """
@@ -118,6 +108,15 @@ class Decision:
     hits: tuple[Hit, ...] = ()
     energy: float = 0.0
     rested: tuple[int, ...] = ()
+    _central: Callable[[], tuple[Mode, dict[int, float]] | None] = lambda: None
+
+    def with_central_forces(self) -> Decision | None:
+        """The same motion with all rows in contact held, and forces away from all bounds.
+
+        None where there are no such forces, see :mod:`multiarm.events.complementarity.central`.
+        """
+        central = self._central()
+        return None if central is None else replace(self, mode=central[0], forces=central[1])
 
 
 @dataclass(frozen=True)
@@ -144,6 +143,36 @@ class Participants:
     off_patch: frozenset[int] = frozenset()
 
 
+@dataclass(frozen=True)
+class _ModeProblem:
+    """What decides the contact modes of an instant.
+
+    Attributes
+    ----------
+    constraints : dict
+        Those that forces decide, by their numbers.
+    rows : list of int
+        Their rows.
+    states : list of ContactState
+        Of all constraints, as the rates decide them.
+    slips : dict
+        Unit vectors of the slip of those that slip already.
+    fixed : set of int
+        Tangents along which none can slip.
+    """
+
+    constraints: dict[int, Constraint]
+    rows: list[int]
+    states: list[ContactState]
+    slips: dict[int, np.ndarray]
+    fixed: set[int]
+
+    @cached_property
+    def at(self) -> dict[int, int]:
+        """Rows of the problem by rows of the constraints."""
+        return {row: k for k, row in enumerate(self.rows)}
+
+
 class Transition:
     """The transition at the state in the data, whose velocities an impact changes.
 
@@ -153,9 +182,6 @@ class Transition:
     participants : Participants
     rest_height : float
         Bounces lower than this are not simulated [m, rad].
-    ahead : float
-        Accelerations are taken so much later [s].  At the very instant at which a bound is reached
-        both sides of it are solutions; a little later only one is.
     """
 
     def __init__(
@@ -163,9 +189,8 @@ class Transition:
         modes: Modes,
         participants: Participants,
         rest_height: float = 0.0,
-        ahead: float = 0.0,
     ) -> None:
-        self._modes, self._constraints, self._ahead = modes, modes.unilateral.constraints, ahead
+        self._modes, self._constraints = modes, modes.unilateral.constraints
         self._rows = RowDynamics(modes)
         touching, self._off_patch = participants.touching, participants.off_patch
         self._pressed = {u for u in touching if self._constraints[u].compliant}
@@ -180,8 +205,14 @@ class Transition:
         hits, energy, rested = self._impact() if with_impacts else ([], 0.0, [])
         if hits:
             self._rows.update()
-        mode, forces, undecided = self._contact_modes()
-        return Decision(mode, forces, self._residual, undecided, tuple(hits), energy, tuple(rested))
+        decision = self._contact_modes()
+        return replace(
+            decision,
+            residual=max(self._residual, decision.residual),
+            hits=tuple(hits),
+            energy=energy,
+            rested=tuple(rested),
+        )
 
     # --- impacts ----------------------------------------------------------------------------------
 
@@ -230,7 +261,7 @@ class Transition:
                 laws.append(Bounded(at[constraint.row], -np.inf, np.inf))
                 at_rest += [Bounded(at[t], 0.0, 0.0) for t in constraint.tangents]
             else:
-                laws.append(_law(constraint, at, None))
+                laws.append(law_of(constraint, at, None))
         laws += at_rest
         share = 1.0
         for _ in range(40):  # halvings of restitution while it would add energy
@@ -238,7 +269,7 @@ class Transition:
             for u, e in elastic.items():
                 k = at[self._constraints[u].row]
                 shifted[k] += share * e * before[k]
-            solution, _ = self._solve_sides(involved, response, shifted, laws)
+            solution, _ = solve_sides(self._of(involved), response, shifted, laws)
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
             if energy_added(solution.forces, before, after) <= ROUNDED_ENERGY * reached:
@@ -246,7 +277,7 @@ class Transition:
             share *= 0.5
         self._residual = max(self._residual, solution.residual)
         # a small residual is a solution: velocities are projected on the contacts afterwards
-        if solution.verdict is Verdict.NONE and not solution.residual < IMPACT_RESIDUAL:
+        if solution.verdict in NO_SOLUTION and not solution.residual < IMPACT_RESIDUAL:
             raise SolverError(f"no velocities follow the impact: {solution.message}")
         return solution, after
 
@@ -268,8 +299,8 @@ class Transition:
 
     # --- contact modes ----------------------------------------------------------------------------
 
-    def _contact_modes(self) -> tuple[Mode, dict[int, float], Undecided | None]:
-        """The next mode, its forces by row, and why it is undecided, if it is."""
+    def _contact_modes(self) -> Decision:
+        """The next mode, and its forces."""
         constraints = self._constraints
         states, involved, slips = self._states_by_rates()
         moving = tuple(
@@ -277,27 +308,43 @@ class Transition:
         )
         set_constraint_forces(self._modes.full, moving)
         if not involved:
-            return self._mode(states, (), frozenset(), {}), {}, None
+            return Decision(self._mode(states, (), frozenset(), {}), {}, 0.0)
         fixed = self._directions_without_slip([u for u in involved if u not in slips])
         unable_to_slip = {u for u in involved if fixed.issuperset(constraints[u].tangents or {-1})}
         rows = [constraints[u].row for u in involved]
         rows += [t for u in involved if u not in unable_to_slip for t in constraints[u].tangents]
-        at = {row: k for k, row in enumerate(rows)}
-        solution, response, pulling = self._solve(involved, at, slips, fixed)
-        self._residual = max(self._residual, solution.residual)
+        problem = _ModeProblem({u: constraints[u] for u in involved}, rows, states, slips, fixed)
+        solution, response, pulling = self._solve(involved, problem.at, slips, fixed)
+
+        def central() -> tuple[Mode, dict[int, float]] | None:
+            forces = solution.central()
+            return None if forces is None else self._by_forces(problem, forces, response, pulling)
+
+        mode, forces = self._by_forces(problem, solution, response, pulling)
+        normals = [problem.at[constraints[u].row] for u in involved]
+        undecided = _undecided(solution, normals)
+        return Decision(mode, forces, solution.residual, undecided, _central=central)
+
+    def _by_forces(
+        self,
+        problem: _ModeProblem,
+        solution: ComplementaritySolution,
+        response: np.ndarray,
+        pulling: frozenset[int],
+    ) -> tuple[Mode, dict[int, float]]:
+        """The mode and the forces, by row, of a solution."""
         by_forces = StatesByForces(
-            {u: constraints[u] for u in involved}, at, solution, response, slips
+            problem.constraints, problem.at, solution, response, problem.slips
         )
         by_forces.release(self._unloaded)
-        by_forces.keep_closed(fixed)
+        by_forces.keep_closed(problem.fixed)
+        states = list(problem.states)
         for u, state in by_forces.states.items():
             states[u] = state
-        held = tuple(sorted(rows[k] for k in by_forces.held))
-        every = [*rows, *self._modes.unilateral.bilateral]
+        held = tuple(sorted(problem.rows[k] for k in by_forces.held))
+        every = [*problem.rows, *self._modes.unilateral.bilateral]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        normals = [at[constraints[u].row] for u in involved]
-        mode = self._mode(states, held, pulling, by_forces.directions)
-        return mode, forces, _undecided(solution, normals)
+        return self._mode(states, held, pulling, by_forces.directions), forces
 
     def _states_by_rates(self) -> tuple[list[ContactState], list[int], dict[int, np.ndarray]]:
         """What the rates decide: states, constraints that forces decide, and unit slips of these.
@@ -367,7 +414,7 @@ class Transition:
         bilateral rows too, these follow the given rows.
         """
         constraints, rows = self._constraints, list(at)
-        laws = [_law(constraints[u], at, slips.get(u)) for u in involved]
+        laws = [law_of(constraints[u], at, slips.get(u)) for u in involved]
         jacobian = self._rows.jacobian(rows)
         free = self._free(rows)
         response, _ = self._rows.response(jacobian, self._modes.bilateral)
@@ -375,91 +422,19 @@ class Transition:
         if bilateral and depends_on_held_rows(response, jacobian):
             every, unconstrained = [*rows, *bilateral], self._modes.unconstrained
             laws += [Bounded(len(rows) + k, -np.inf, np.inf) for k in range(len(bilateral))]
-            free = self._rows.free_accelerations(every, unconstrained, self._ahead)
+            free = self._rows.free_accelerations(every, unconstrained)
             response, _ = self._rows.response(self._rows.jacobian(every), unconstrained)
         free[np.abs(free) < NO_ACCELERATION] = 0.0
         without = [at[row] for row in fixed.intersection(rows)]
         free[without] = response[without] = response[:, without] = 0.0
-        solution, pulling = self._solve_sides(involved, response, free, laws)
-        return solution, response, pulling
+        solution, pulls = solve_sides(self._of(involved), response, free, laws)
+        return solution, response, frozenset(involved[k] for k in pulls)
 
-    def _solve_sides(
-        self,
-        involved: list[int],
-        response: np.ndarray,
-        rates: np.ndarray,
-        laws: list[ContactLaw],
-    ) -> tuple[ComplementaritySolution, frozenset[int]]:
-        """Solve with bilateral contacts that push or pull; and which of them pull.
-
-        The first sides are those of the forces without friction in these contacts.  Whichever then
-        opens changes its side: all of them at once, or one of them where that has led back.
-        """
-        bilateral = {k for k, u in enumerate(involved) if self._constraints[u].bilateral}
-        sided = {
-            k: law
-            for k, law in enumerate(laws)
-            if k in bilateral and isinstance(law, (Friction, Sliding))
-        }
-        if not sided:
-            return solve(response, rates, laws), frozenset()
-        smooth: list[ContactLaw] = [law for k, law in enumerate(laws) if k not in sided]
-        for law in sided.values():
-            smooth.append(Bounded(law.row, -np.inf, np.inf))
-            smooth += [Bounded(t, 0.0, 0.0) for t in law.tangents]
-        start = solve(response, rates, smooth).forces
-        pulls = frozenset(k for k, law in sided.items() if start[law.row] < 0.0)
-        tried: set[frozenset[int]] = set()
-        while True:
-            signs = np.ones(rates.size)
-            signs[[sided[k].row for k in pulls]] = -1.0
-            solution = solve(signs[:, None] * response * signs, signs * rates, laws)
-            wrong = [k for k in sided if solution.modes[k] is ContactMode.OPEN]
-            if not wrong or len(tried) > 8 * len(sided):
-                break
-            tried.add(pulls)
-            changes = [frozenset(wrong), *(frozenset([k]) for k in wrong)]
-            untried = [pulls ^ change for change in changes if pulls ^ change not in tried]
-            if not untried:
-                break
-            pulls = untried[0]
-        if wrong:
-            solution = replace(solution, verdict=Verdict.NONE, residual=1.0, message=NO_SIDES)
-        alternatives = tuple(
-            replace(motion, forces=signs * motion.forces, rates=signs * motion.rates)
-            for motion in solution.alternatives
-        )
-        solution = replace(
-            solution,
-            forces=signs * solution.forces,
-            rates=signs * solution.rates,
-            alternatives=alternatives,
-        )
-        return solution, frozenset(involved[k] for k in pulls)
+    def _of(self, numbers: list[int]) -> list[Constraint]:
+        return [self._constraints[u] for u in numbers]
 
     def _free(self, rows: list[int]) -> np.ndarray:
-        return self._rows.free_accelerations(rows, self._modes.bilateral, self._ahead)
-
-
-def energy_added(impulse: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
-    """Kinetic energy that impulses add [J]: their product with the mean rates."""
-    return 0.5 * float(impulse @ (before + after))
-
-
-def _law(constraint: Constraint, at: dict[int, int], slip: np.ndarray | None) -> ContactLaw:
-    """The law of a constraint; ``at`` maps its rows to those of the problem."""
-    if constraint.kind == DRY_JOINT:
-        return Bounded(at[constraint.row], -constraint.bound, constraint.bound)
-    if not constraint.tangents:
-        return Push(at[constraint.row])
-    if constraint.bilateral and constraint.tangents[0] not in at:
-        return Bounded(at[constraint.row], -np.inf, np.inf)
-    first, second = (at[t] for t in constraint.tangents)
-    if slip is None:
-        return Friction(at[constraint.row], (first, second), constraint.mu)
-    return Sliding(
-        at[constraint.row], (first, second), constraint.mu, (float(slip[0]), float(slip[1]))
-    )
+        return self._rows.free_accelerations(rows, self._modes.bilateral)
 
 
 def _undecided(solution: ComplementaritySolution, normals: list[int]) -> Undecided | None:
@@ -469,8 +444,8 @@ def _undecided(solution: ComplementaritySolution, normals: list[int]) -> Undecid
     load; the one with the smallest forces is taken.  Where they do not, one contact opens in one of
     them and pushes in the other.
     """
-    if solution.verdict is Verdict.NONE:
-        return Undecided(Verdict.NONE, solution.message)
+    if solution.verdict in NO_SOLUTION:
+        return Undecided(solution.verdict, solution.message)
     if solution.verdict is not Verdict.SEVERAL:
         return None
     rates = solution.rates[normals]

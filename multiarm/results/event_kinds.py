@@ -130,6 +130,17 @@ class EventKind(Enum):
         OTHER,
         "the integrator was switched, because the scene is stiff, or no longer",
     )
+    JAMS = (
+        "jams",
+        SLIP,
+        "friction leaves no accelerations that obey the contact laws (Painleve): an impulse "
+        "without a collision follows",
+    )
+    CHATTERS = (
+        "chatters",
+        OTHER,
+        "contacts opened, closed, stuck and slipped in turns; impulse steps led over it",
+    )
     SHOWS_MODE = (
         "shows a mode",
         OTHER,

@@ -9,7 +9,14 @@ from pydantic import BeforeValidator, Field, PlainSerializer, TypeAdapter, model
 from typing_extensions import Self
 
 from multiarm.scene.faults import invalid, shown
-from multiarm.scene.settings import MEANINGS, ArmTerms, Integrator, SolverName, Stabilization
+from multiarm.scene.settings import (
+    MEANINGS,
+    ArmTerms,
+    Integrator,
+    Painleve,
+    SolverName,
+    Stabilization,
+)
 from multiarm.scene.spec import Spec, shorthand
 from multiarm.scene.values import NonNegative, Positive
 from multiarm.tableaus import ADAPTIVE_INTEGRATORS, FIXED_STEP_INTEGRATORS
@@ -125,6 +132,7 @@ class RunSpec(Spec):
     ] = Field(StabilizationSpec(), description=MEANINGS["stabilization"])
     output_step: Positive = Field(0.01, description=MEANINGS["output_step"])
     most_steps: Positive = Field(1e8, description=MEANINGS["most_steps"])
+    painleve: Painleve = Field("impact", description=MEANINGS["painleve"])
     solver: SolverName = Field("node", description=MEANINGS["solver"])
     arms: ArmTerms = Field("pinocchio", description=MEANINGS["arms"])
 

@@ -22,6 +22,7 @@ else:
     Integrator = Literal[tuple(METHODS)]
     Stabilization = Literal[tuple(STABILIZATIONS)]
 SolverName = Literal["node", "dense"]
+Painleve = Literal["impact", "stop"]
 ArmTerms = Literal["pinocchio", "compiled"]
 ARM_TERMS: tuple[str, ...] = get_args(ArmTerms)
 """Backends of the arms' inertia, forces and motion."""
@@ -41,6 +42,8 @@ MEANINGS = {
     "most_steps": "Steps for one second of simulated time (for the whole run, if that is shorter): "
     "a run that needs more at the pace of its last thousands of steps, rejected ones and events "
     "counted, fails instead of running for hours.",
+    "painleve": "Where friction leaves no accelerations that obey the contact laws (Painleve's "
+    "paradox): an impulse without a collision carries the run on, or it stops.",
     "solver": "The node algorithm, or the whole linear system at once, an independent reference to "
     "compare with.",
     "arms": "Backend of the arms' inertia, forces and motion: Pinocchio, or compiled code, which "

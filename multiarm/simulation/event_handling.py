@@ -8,8 +8,8 @@ continues with the same step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from collections import deque
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from multiarm.dynamics.guards import Guard
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
+from multiarm.events.complementarity import Verdict
 from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.decision_events import decision_events
 from multiarm.events.event_detection import (
@@ -32,6 +33,7 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
+from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper, Point
 from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
@@ -39,17 +41,29 @@ from multiarm.events.modes import Modes
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
-from multiarm.integration.projection import project
+from multiarm.integration.projection import project, project_positions
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import PROJECTION, gains, shortest_step
+from multiarm.notation import count_of
 from multiarm.results.contact_states import ContactState
-from multiarm.results.event_log import EventLog
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import EventLog, RunEvent
+from multiarm.simulation.impulse_phase import (
+    FIRST_SHARE,
+    SHORTEST,
+    ImpulsePhase,
+    pause_of,
+    point_of,
+)
 from multiarm.simulation.setup import Run, Tolerance
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
-# A run ends after more events at one time.
-MOST_SIMULTANEOUS = 60
+# Events accumulate where so many come within this part of the longest step before them.
+ACCUMULATED, ACCUMULATION = 20, 1e-3
+JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
+# Impulse steps in a row, before progress is shown.
+IMPULSE_STEPS = 100
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
@@ -71,9 +85,19 @@ class EventHandler:
         Largest residual of the complementarity problems.
     count : int
         Events so far.
+    impulse_steps : int
+    impulse_time : float
+        That the impulse steps took [s].
     """
 
-    def __init__(self, data: Data, tolerance: Tolerance | None, step: float | None, log: EventLog):
+    def __init__(
+        self,
+        data: Data,
+        tolerance: Tolerance | None,
+        step: float | None,
+        log: EventLog,
+        stops_at_painleve: bool,
+    ):
         if tolerance is None:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
@@ -81,14 +105,17 @@ class EventHandler:
             slow = 1000.0 * tolerance.position
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
-        self.count = 0
-        self._log = log
+        self.count = self.impulse_steps = 0
+        self.impulse_time = 0.0
+        self._log, self._stops_at_painleve = log, stops_at_painleve
         self._size = 1.0
         self._tolerance = tolerance
         self._rest_height = 0.0
         self._pending: Pending | None = None
         self._last_length = self._usual_length = 0.0
-        self._simultaneous, self._simultaneous_since = 0, -np.inf
+        self._times: deque[float] = deque(maxlen=ACCUMULATED)
+        self._phase: ImpulsePhase | None = None
+        self._phase_end, self._phase_length = -np.inf, np.inf  # of the last one, and its steps
 
     # --- beginning --------------------------------------------------------------------------------
 
@@ -102,12 +129,37 @@ class EventHandler:
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step
         self._rest_height = max(height, 4.0 * GAP_THRESHOLD)
-        decision = self._enter_mode(time, Participants(touching, off_patch=off_patch))
+        participants = Participants(touching, off_patch=off_patch)
+        decision, _ = enter_consistent_mode(self.modes, self._decide(time, participants))
+        jams = self._jams(decision)
+        if jams:
+            self._jam(time, participants)
+            again, _ = enter_consistent_mode(self.modes, self._decide(time, participants))
+            decision = replace(again, hits=decision.hits + again.hits)
         self._log_decision(time, decision, Mode((), ()))
         if decision.undecided:
             raise SolverError(f"at the start: {decision.undecided.message}")
-        changed = decision.hits or given
+        changed = decision.hits or given or jams
         return self.modes.data, self.modes.data.get_state() if changed else None
+
+    def _jams(self, decision: Decision) -> bool:
+        """Whether no accelerations obey the contact laws, and an impulse is to follow."""
+        return (
+            decision.undecided is not None
+            and decision.undecided.verdict is Verdict.NONE
+            and not self._stops_at_painleve
+        )
+
+    def _jam(self, time: float, participants: Participants) -> None:
+        """Give the state in the data the velocity after an impulse without a collision."""
+        arrays, modes = self.modes.bilateral.arrays, self.modes
+        works = np.zeros(arrays.effects.power.size)
+        configuration = arrays.state.configuration.copy()
+        states = arrays.effects.states.copy()
+        start = Point(time, configuration, arrays.state.velocity.copy(), states, works)
+        stepper = ImpulseStepper(modes, participants.off_patch, participants.touching)
+        stepper.put(replace(start, velocity=stepper.step(start, SHORTEST).end.velocity))
+        self._log.add(RunEvent(time, EventKind.JAMS, JAMS))
 
     # --- events -----------------------------------------------------------------------------------
 
@@ -117,6 +169,9 @@ class EventHandler:
         Returns why the run cannot go on past it, with the remedy; empty where it goes on.
         """
         try:
+            if self._phase is not None:
+                self._load(run)
+                return self._make_impulse_steps(run, self._phase)
             return self.cross(run) if stopped else self.locate(run)
         except MultiarmError as error:
             return str(error)
@@ -143,7 +198,7 @@ class EventHandler:
 
     def forget_pending(self) -> None:
         """Forget the event that was located: the run does not come to it."""
-        self._pending, self.modes.numbers.muted = None, False
+        self._pending, self._phase, self.modes.numbers.muted = None, None, False
 
     def cross(self, run: Run) -> str:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
@@ -158,17 +213,88 @@ class EventHandler:
             _constraints(fired, PushingForce),
             off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
-        decision = self._enter_mode(t, participants, ended=before)
-        self._log_decision(t, decision, before)
-        if decision.undecided:
-            return decision.undecided.message
-        if self._count_simultaneous(t) > MOST_SIMULTANEOUS:
-            return (
-                f"{self._simultaneous} events at one time: contacts open and close without the "
-                f"motion getting on; lessen restitution or friction, or start elsewhere"
-            )
-        self._continue(run, decision)
+        decision = self._decide(t, participants)
+        self._add_impact(run, decision)
+        decision, holds = enter_consistent_mode(self.modes, decision, ended=before)
+        if holds and not self._accumulate(t):
+            self._log_decision(t, decision, before)
+            self._continue(run)
+            return ""
+        if decision.undecided and decision.undecided.verdict is Verdict.NONE:
+            if self._stops_at_painleve:
+                return decision.undecided.message
+            self._log.add(RunEvent(t, EventKind.JAMS, JAMS))
+        if decision.hits and not decision.undecided:
+            self._log_decision(t, decision, before)
+            before = decision.mode
+        length = FIRST_SHARE * self._usual_length
+        if t - self._phase_end < self._usual_length:  # the same chatter goes on
+            length = min(length, self._phase_length)
+        stepper = ImpulseStepper(self.modes, participants.off_patch, participants.touching)
+        self._phase = ImpulsePhase(stepper, length, before, t)
+        return self._make_impulse_steps(run, self._phase)
+
+    # --- impulse steps ----------------------------------------------------------------------------
+
+    def _make_impulse_steps(self, run: Run, phase: ImpulsePhase) -> str:
+        """Go on in impulse steps until a mode holds, or the loop has something to do."""
+        until, begin = pause_of(run), run.clock.t
+        for _ in range(IMPULSE_STEPS if until > begin else 0):
+            step = phase.step(run, point_of(run), until)
+            self.impulse_steps, phase.steps = self.impulse_steps + 1, phase.steps + 1
+            self.residual = max(self.residual, step.residual)
+            if self._take(run, step):
+                self._end_phase(run, phase)
+                break
+            run.clock.stop = run.clock.t  # there the loop returns when it has written what is due
+            if run.clock.t >= until:
+                break
+        self.impulse_time += run.clock.t - begin
         return ""
+
+    def _end_phase(self, run: Run, phase: ImpulsePhase) -> None:
+        """Log what the constraints do after impulse steps; ``phase`` is over."""
+        t = run.clock.t
+        self._log_decision(t, Decision(self.modes.mode, {}, 0.0), phase.ended)
+        if phase.steps > 1:  # one only told which mode follows
+            steps, time = count_of(phase.steps, "impulse step"), t - phase.begin
+            self._log.add(RunEvent(t, EventKind.CHATTERS, f"{steps} over {time:.2g} s"))
+        self._phase, self._phase_end, self._phase_length = None, t, 4.0 * phase.length
+
+    def _take(self, run: Run, step: ImpulseStep) -> bool:
+        """Continue from the end of an impulse step; whether a mode holds there."""
+        run.clock.t = step.end.t
+        run.stepping.step.z[chart_places(run.data.arrays).works :] = step.end.works
+        self._close_gaps(run, step.mode)
+        self.modes.enter(step.mode)
+        self._continue(run)
+        if not self.modes.contradicted:
+            return True
+        self._load(run)
+        participants = Participants(step.touching, off_patch=step.mode.off_patch)
+        decision = self._decide(run.clock.t, participants)
+        self._add_impact(run, decision)
+        decision, holds = enter_consistent_mode(self.modes, decision)
+        if decision.undecided:
+            self.modes.enter(step.mode)
+        self._continue(run)
+        return holds
+
+    def _close_gaps(self, run: Run, mode: Mode) -> None:
+        """Let contacts that open begin where they are closed, not as deep as the step left them."""
+        gaps, constraints = self.modes.full.contact_rows.gap, self.modes.unilateral.constraints
+        deep = [
+            constraint.row
+            for u, constraint in enumerate(constraints)
+            if mode.states[u] == ContactState.OPEN
+            and not constraint.compliant
+            and u not in mode.off_patch
+            and -TOUCHING * self._size < gaps[constraint.row] < 0.0
+        ]
+        if deep and run.settings.stabilization == PROJECTION:
+            self.modes.enter(replace(mode, rows=tuple(sorted([*mode.rows, *deep]))))
+            gap = run.settings.gap_tolerance
+            require_ok(run.data, project_positions(run.data.struct, gap, False, 0.5, 12))
 
     def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
         """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
@@ -182,15 +308,6 @@ class EventHandler:
             if speed <= 1e3 * max(of_step, SLOWEST) or self._tolerance is None:
                 speeds[u] = HIT_SHARE * speed
         return speeds
-
-    def _enter_mode(
-        self, t: float, participants: Participants, ended: Mode | None = None
-    ) -> Decision:
-        """Decide, and enter the next mode."""
-        decision, _ = enter_consistent_mode(
-            self.modes, partial(self._decide, t, participants), self._usual_length, ended
-        )
-        return decision
 
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
@@ -221,13 +338,21 @@ class EventHandler:
         near = closed_constraints(self.modes, max(TOUCHING * self._size, HIT_SHARE * depth))
         return near | closing | closed | pressed
 
-    def _decide(self, t: float, participants: Participants, ahead: float) -> Decision:
+    def _decide(self, t: float, participants: Participants) -> Decision:
+        """Decide at the state in the data, whose velocity an impact changes."""
         self.modes.full.arrays.time.now = t
-        decision = Transition(self.modes, participants, self._rest_height, ahead).decide()
+        decision = Transition(self.modes, participants, self._rest_height).decide()
         self.residual = max(self.residual, decision.residual)
         return decision
 
-    def _continue(self, run: Run, decision: Decision) -> None:
+    def _add_impact(self, run: Run, decision: Decision) -> None:
+        """Count the energy of an impact among the works."""
+        if decision.energy:
+            works = run.stepping.step.z[chart_places(run.data.arrays).works :]
+            works[run.data.model.effects.slot("impacts")] += decision.energy
+            works[-1] += decision.energy
+
+    def _continue(self, run: Run) -> None:
         """Continue the run in the new mode, from the state in its data."""
         data, clock, settings = run.data, run.clock, run.settings
         if run.stepping.work:  # these arrays have entries for the rows of a mode
@@ -238,10 +363,6 @@ class EventHandler:
             data.reraise()
             raise SolverError("the state could not be put on the contacts that closed")
         begin_chart(data.struct, step.base, step.z)
-        if decision.energy:
-            works = step.z[chart_places(data.arrays).works :]
-            works[data.model.effects.slot("impacts")] += decision.energy
-            works[-1] += decision.energy
         length = max(0.5 * self._last_length, 1e-12)  # the motion may have changed
         if settings.adaptive:
             clock.h = length
@@ -264,12 +385,11 @@ class EventHandler:
         self.count += len(events)
         self._log.add(*events)
 
-    def _count_simultaneous(self, t: float) -> int:
-        """Count an event; returns how many there have been at its time."""
-        if t - self._simultaneous_since > 1e-11 * max(1.0, t):
-            self._simultaneous, self._simultaneous_since = 0, t
-        self._simultaneous += 1
-        return self._simultaneous
+    def _accumulate(self, t: float) -> bool:
+        """Count an event; whether the last ones came so fast that they would not end."""
+        self._times.append(t)
+        since = t - self._times[0]
+        return len(self._times) == ACCUMULATED and since < ACCUMULATION * self._usual_length
 
 
 def _constraints(guards: list[Guard], *functions: type) -> set[int]:

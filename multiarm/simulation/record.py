@@ -49,6 +49,8 @@ class RunStatistics:
     correction_max: float
     contact_events: int | None
     complementarity_residual: float | None
+    impulse_steps: int | None
+    impulse_time_s: float | None
     control_samples: int | None
     wall_time_s: float  # without compilation
     compile_time_s: float
@@ -56,7 +58,13 @@ class RunStatistics:
 
     def as_dict(self) -> dict[str, Any]:
         """The statistics as results have them."""
-        optional = ("contact_events", "complementarity_residual", "control_samples")
+        optional = (
+            "contact_events",
+            "complementarity_residual",
+            "impulse_steps",
+            "impulse_time_s",
+            "control_samples",
+        )
         return {k: v for k, v in vars(self).items() if v is not None or k not in optional}
 
 
@@ -119,6 +127,8 @@ def run_statistics(driver: Driver) -> RunStatistics:
         correction_max=clock.worst_correction,
         contact_events=None if events is None else events.count,
         complementarity_residual=None if events is None else events.residual,
+        impulse_steps=None if events is None else events.impulse_steps,
+        impulse_time_s=None if events is None else events.impulse_time,
         control_samples=None if sampling is None else clock.control_samples,
         wall_time_s=wall,
         compile_time_s=driver.compilation,

@@ -133,7 +133,9 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     compiled_before = compile_time()
     spec, state, log, events, in_mode = task.spec, task.state, EventLog(), None, task
     if task.data.model.unilateral is not None:
-        events = EventHandler(task.data, method_and_tolerance(spec, tighten)[1], spec.step, log)
+        tolerance = method_and_tolerance(spec, tighten)[1]
+        stops = spec.painleve == "stop"
+        events = EventHandler(task.data, tolerance, spec.step, log, stops_at_painleve=stops)
         start = task.system.initial_state() if state is None else state
         data, state = events.begin(task.begin, start, state is not None)
         in_mode = replace(task, data=data, state=state)

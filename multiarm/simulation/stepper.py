@@ -280,7 +280,9 @@ class Stepper:
             return
         self._torques[:] = 0.0
         fill_by_arm("torques", self._layout, self._torques, torques, ControlError)
-        if run.clock.steps == 0:  # the start, and the first step, are those under these torques
+        if (
+            run.clock.t == run.settings.begin
+        ):  # the start, and the first step, are those under these torques
             self._begin(self._task, self._torques)
             return
         run.data.hold(self._torques)

@@ -263,3 +263,14 @@ def test_control_that_needs_no_friction_does_not_count_it(lifted):
     assert len(rows.model) == 6 and len(rows.of_laws) == 18
     plain = compiled({"kind": "gravity_compensation"}).model.unilateral
     assert plain.of_laws == plain.model
+
+
+def test_a_box_is_lifted_off_a_floor_on_which_the_law_does_not_rely():
+    """The law sees the fingertips alone, though the floor has friction too."""
+    lift, floor = [{"time": 1.0, "xyz": [0, 0, 0.52]}], {"at": {"xyz": [0, 0, 0.3]}, "mu": 0.5}
+    system = compiled(computed_torque(squeeze=30.0, path=lift), floor=floor)
+    assert len(system.model.unilateral.of_laws) == 18
+    run = ma.simulate(system, duration=1.0, accuracy=1e-4, certificate=False)
+    assert run.status == "completed" and run.object_position[-1, 2] == pytest.approx(0.52, abs=1e-4)
+    assert [event for event in run.events if event["text"] == "floor: corner 1 lets go"]
+    assert np.all(run.contact_forces["floor"][-1] == 0.0)

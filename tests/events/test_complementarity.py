@@ -306,6 +306,27 @@ def test_the_order_of_units_does_not_matter(seed):
     assert other.modes == tuple(one.modes[k] for k in order)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_contacts_that_can_rest_inside_their_cones_have_central_forces_that_do(seed):
+    # forces inside all cones, which keep everything at rest, are given
+    rng, contacts = np.random.default_rng(seed), 12
+    A, laws = rng.normal(size=(3 * contacts, 18)), []
+    given = np.zeros(3 * contacts)
+    for row, mu in zip(range(0, given.size, 3), rng.uniform(0.1, 0.5, contacts), strict=True):
+        laws.append(Friction(row, (row + 1, row + 2), mu))
+        along = rng.normal(size=2)
+        given[row] = rng.uniform(1.0, 30.0)
+        given[row + 1 : row + 3] = 0.99 * mu * given[row] * along / np.linalg.norm(along)
+    D = A @ A.T
+    central = solve(D, -D @ given, laws).central()
+    assert central is not None
+    assert set(central.modes) == {ContactMode.STICKING}
+    np.testing.assert_allclose(central.rates, 0.0, atol=1e-9 * np.max(np.abs(D @ given)))
+    normal, tangents = central.forces[::3], central.forces.reshape(-1, 3)[:, 1:]
+    inside = np.array([law.mu for law in laws]) * normal - np.hypot(*tangents.T)
+    assert np.min(inside) > 1e-6 * np.max(normal)
+
+
 @pytest.mark.parametrize("kind", [Friction, Sliding])
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(seed=seeds)

@@ -20,10 +20,16 @@ RUNS = [
     ("thrown", 1, 1e-6), ("thrown", 3, 1e-6), ("thrown", 7, 1e-4), ("corner", 1, 1e-6),
     ("corner", 4, 1e-4), ("corner", 8, 1e-6), ("dry_joints", 2, 1e-6), ("dry_joints", 5, 1e-4),
     ("fingertips", 4, 1e-6), ("fingertips", 7, 1e-4), ("stack", 1, 1e-6), ("mixed", 1, 1e-6),
+    ("fingertips", 5, 1e-6), ("fingertips", 9, 1e-6),
+]  # fmt: skip
+# Contacts stick and slip in turns here: events alone do not lead through.
+CHATTERING = [
+    ("fingertips", 6, 1e-6), ("fingertips", 9, 1e-4), ("stack", 5, 1e-4), ("stack", 9, 1e-4),
+    ("mixed", 0, 1e-4),
 ]  # fmt: skip
 DIRECTION, POWER = "friction not against slip", "friction power"
 # The direction of slip is smoothed where it is slow; then friction is not quite against it.
-SMOOTHED = {DIRECTION: 0.1, POWER: 1e-5}
+SMOOTHED = {DIRECTION: 0.1, POWER: 2e-5}
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -45,6 +51,17 @@ def test_a_run_completes_and_breaks_no_law_in_any_sample(family, seed, accuracy)
     del energy["balance"]  # which has the errors of the integration
     created = {works: value for works, value in energy.items() if value > CREATED}
     assert not broken and not created
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("family", "seed", "accuracy"), CHATTERING)
+def test_a_run_completes_whose_contacts_chatter(family, seed, accuracy):
+    """Slips are slow there, of which the direction is smoothed: the other laws are kept."""
+    table = draw(family, seed)
+    trajectory = simulate_table(table, accuracy)
+    assert trajectory.status == "completed", trajectory.message
+    laws = judge_laws(table, trajectory)
+    assert not {law: x for law, x in laws.items() if x > LAWS and law not in SMOOTHED}
 
 
 class _Changed:
@@ -130,9 +147,13 @@ def test_the_judge_sees_works_that_grow(sliding):
     assert judge_energy(_Changed(trajectory, channel=channel))["contact_friction"] > CREATED
 
 
-def test_a_rod_that_no_motion_is_possible_for_is_refused_with_the_proof():
+def test_a_rod_that_no_accelerations_are_possible_for_jams_or_is_refused_with_the_proof():
+    table = draw("thrown", 4)
+    jammed = simulate_table(table, 1e-6)
+    assert jammed.status == "completed" and jammed.events[0]["kind"] == "jams"
+    table["run"]["painleve"] = "stop"
     with pytest.raises(SolverError) as refused:
-        simulate_table(draw("thrown", 4), 1e-6)
+        simulate_table(table, 1e-6)
     assert PROVEN in str(refused.value)
 
 

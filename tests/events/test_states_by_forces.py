@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from multiarm.contacts.unilateral import CONTACT, Constraint
-from multiarm.events.complementarity import ComplementaritySolution, ContactMode, Verdict
+from multiarm.events.complementarity import ContactMode, Friction, Push, solve
 from multiarm.events.states_by_forces import StatesByForces
 from multiarm.results.contact_states import ContactState
 
@@ -28,17 +30,11 @@ def test_a_contact_is_held_only_if_the_rows_that_always_are_do_not_keep_it_close
     if dependent:
         jacobian[ALWAYS_HELD] = jacobian[NORMAL]
     contact = Constraint(CONTACT, "left", "left", row=10, tangents=(11, 12), mu=0.5, bilateral=True)
-    solution = ComplementaritySolution(
-        forces=np.zeros(4),
-        rates=np.zeros(4),
+    solution = replace(
+        solve(np.eye(4), np.zeros(4), [Friction(NORMAL, (1, 2), 0.5), Push(ALWAYS_HELD)]),
         modes=(ContactMode.RESTING, ContactMode.CLOSED),
-        directions=np.zeros((2, 2)),
         active_rows=(ALWAYS_HELD,),
         forces_unique=not dependent,
-        residual=0.0,
-        verdict=Verdict.UNIQUE,
-        alternatives=(),
-        message="",
     )
     rows = {10: NORMAL, 11: 1, 12: 2}
     by_forces = StatesByForces({5: contact}, rows, solution, jacobian @ jacobian.T, {})

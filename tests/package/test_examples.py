@@ -367,6 +367,23 @@ def test_two_hands_turn_a_cube_between_fingertips_that_roll(printed):
 
 
 @pytest.mark.slow
+def test_two_hands_lift_a_box_by_friction_and_let_it_go(printed):
+    text = printed("25_lift_by_friction.py")
+    ((rise, across),) = figures("completed: the box rose by# mm,# mm across", text)
+    assert (rise, across) == pytest.approx((200.0, 250.0), abs=0.1)
+    assert "\nmet: " in text and "\nopening completed: met: " in text
+    ((leaves, touches),) = figures("leave the floor at# s, and touch it at# s", text)
+    assert 0.0 < leaves < 0.1 and 3.0 < touches < 3.5
+    ((least, most),) = figures("press with# to# N in between", text)
+    ((friction,),) = figures("need a friction of# at", text)
+    # six fingertips share the weight, with a fifth of the friction left
+    assert 6.0 * 9.81 / 6.0 / most < friction < 0.8 * 0.6 and least > 30.0
+    ((last, away, shift),) = figures("lets go at# s, the hands end# mm away, .* by# mm", text)
+    # the hands go along a tangent of their joints: second order of 50 mm in arms of half a metre
+    assert 3.6 < last < 4.6 and away == pytest.approx(50.0, abs=2.5) and shift < 0.1
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

@@ -108,6 +108,21 @@ def box(sizes=(0.4, 0.3, 0.2), mass=2.0, height=0.0, rpy=(0, 0, 0), twist=None, 
     return data if twist is None else {**data, "twist": list(twist)}
 
 
+def rod(angle: float, mu: float, speed: float):
+    """A thin rod whose lower end slides; it leans towards +x by ``angle`` above the floor."""
+    half = np.array([math.cos(angle), 0.0, math.sin(angle)]) / 2
+    body = {
+        "shape": {"box": [1.0, 0.02, 0.02]}, "mass": 1.0, "inertia": [1e-3, 1 / 12, 1 / 12],
+        "pose": {"xyz": half.tolist(), "rpy": [0, -angle, 0]}, "twist": [speed, 0, 0, 0, 0, 0],
+    }  # fmt: skip
+    return on_floor(body, mu=mu, floor={"points": [[-0.5, 0, 0]]})
+
+
+def response_of_rod(angle: float, mu: float) -> float:
+    """Upward acceleration of the sliding end to a unit load (m = L = 1), by hand."""
+    return 1 + 3 * math.cos(angle) * (math.cos(angle) - mu * math.sin(angle))
+
+
 def run(a_scene, duration: float, accuracy: float = 1e-8, **more):
     """Simulate without a certificate."""
     if "integrator" not in more or more["integrator"] in ("dopri5", "dop853", "rodas5p"):

@@ -30,6 +30,7 @@ from multiarm.events.complementarity.problem import (
     Sliding,
 )
 from multiarm.events.complementarity.solution import (
+    NO_SOLUTION,
     Alternative,
     ComplementaritySolution,
     Verdict,
@@ -37,6 +38,7 @@ from multiarm.events.complementarity.solution import (
 )
 
 __all__ = [
+    "NO_SOLUTION",
     "Alternative",
     "Bounded",
     "ComplementaritySolution",

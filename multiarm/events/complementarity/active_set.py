@@ -107,7 +107,7 @@ def active_set(problem: Problem, z: np.ndarray) -> ActiveSet:
     modes = law_modes(problem, z)
     active = search.without_limits(modes) or search.with_limits(modes, search.x)
     if active is None:
-        rows = tuple(sorted(_Unknowns(problem, modes).rows))
+        rows = tuple(sorted(Unknowns(problem, modes).rows))
         message = UNDETERMINED if search.undetermined else NO_ROWS
         active = ActiveSet(search.x, modes, rows, message=message)
     return replace(active, unique=not search.dependent)
@@ -152,7 +152,7 @@ def _unit_vector(vector: np.ndarray) -> tuple[float, float]:
     return float(vector[0] / length), float(vector[1] / length)
 
 
-class _Unknowns:
+class Unknowns:
     """The k unknown forces of a choice of modes.
 
     Attributes
@@ -191,7 +191,7 @@ class _Unknowns:
                 self.rows.append(row)
                 lower.append(low)
                 upper.append(high)
-        self.B = np.array(columns).reshape(-1, problem.b.size).T.copy()
+        self.B = np.array(columns).reshape(len(columns), problem.b.size).T.copy()
         self.lower, self.upper = np.array(lower), np.array(upper)
         self.tied = any(mode in TIED for mode, _ in modes)
 
@@ -266,7 +266,7 @@ class _Search:
     def least(self, modes: tuple[LawMode, ...]) -> ActiveSet | None:
         """Minimum-norm forces of these modes within their bounds, if these rows give the motion."""
         problem, s = self.problem, self.problem.scale
-        unknowns = _Unknowns(problem, modes)
+        unknowns = Unknowns(problem, modes)
         weights = s[unknowns.rows]
         response = s[:, None] * problem.D @ unknowns.B * weights
         # rates of zero in the active rows leave one motion, unless friction is tied
@@ -281,7 +281,7 @@ class _Search:
         return ActiveSet(forces, modes, tuple(sorted(unknowns.rows)), restricted)
 
     def _least_unknowns(
-        self, response: np.ndarray, motion: np.ndarray, s: np.ndarray, unknowns: _Unknowns
+        self, response: np.ndarray, motion: np.ndarray, s: np.ndarray, unknowns: Unknowns
     ) -> tuple[np.ndarray | None, bool]:
         """The unknown forces, and whether bounds restrict them."""
         if not unknowns.rows:
@@ -366,7 +366,7 @@ class _Search:
 
 
 def _between_bounds(
-    v: np.ndarray, Q: np.ndarray, s: np.ndarray, unknowns: _Unknowns
+    v: np.ndarray, Q: np.ndarray, s: np.ndarray, unknowns: Unknowns
 ) -> tuple[np.ndarray | None, bool]:
     """The smallest forces between their bounds, from the multipliers of the bounds."""
     v = v - Q @ (Q.T @ v)

@@ -33,15 +33,17 @@ finds are solutions, that there are no others is not proven.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import combinations, product
 from math import comb, prod
+from typing import Any
 
 import numpy as np
 
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.events.complementarity.active_set import ActiveSet, active_set, law_modes
+from multiarm.events.complementarity.central import central_set
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     MARGIN,
@@ -77,7 +79,12 @@ class Verdict(str, Enum):
     """Several: the one with the smallest forces is given, or the one nearest to the forces before;
     the others are the alternatives."""
     NONE = "none"
-    """None, proven; or none was found, as the message says. The result is the nearest to one."""
+    """None, proven; the result is the nearest to one."""
+    NOT_FOUND = "not found"
+    """None was found; the result is the nearest to one."""
+
+
+NO_SOLUTION = (Verdict.NONE, Verdict.NOT_FOUND)
 
 
 @dataclass(frozen=True)
@@ -132,6 +139,33 @@ class ComplementaritySolution:
     verdict: Verdict
     alternatives: tuple[Alternative, ...]
     message: str
+    _problem: Problem
+    _independent: np.ndarray  # forces of the problem
+    _signs: np.ndarray | float = 1.0  # -1 for rows that are turned round
+
+    def central(self) -> ComplementaritySolution | None:
+        """The same motion with all rows in contact active, and forces away from all bounds.
+
+        None where some forces are at their bounds in all solutions, or are all determined.
+        """
+        chosen = central_set(self._problem, self._independent)
+        if chosen is None:
+            return None
+        facts = _by_forces(self._problem, chosen)
+        return replace(self, alternatives=(), **facts)._signed(self._signs)
+
+    def turned(self, signs: np.ndarray) -> ComplementaritySolution:
+        """The solution of the problem in which the rows with the sign -1 are turned round."""
+        return replace(self._signed(signs), _signs=signs)
+
+    def _signed(self, signs: np.ndarray | float) -> ComplementaritySolution:
+        alternatives = tuple(
+            replace(motion, forces=signs * motion.forces, rates=signs * motion.rates)
+            for motion in self.alternatives
+        )
+        return replace(
+            self, forces=signs * self.forces, rates=signs * self.rates, alternatives=alternatives
+        )
 
 
 def solve(
@@ -171,23 +205,32 @@ def solve(
     if near is not None:
         start = np.clip((near / problem.scale)[problem.rows], problem.lower, problem.upper)
     (z, *alternatives), verdict, message = _solutions(problem, start)
-    if verdict == Verdict.NONE:
+    if verdict in NO_SOLUTION:
         chosen = ActiveSet(problem.E @ z, law_modes(problem, z))
     else:
         chosen = active_set(problem, z)
-    x = chosen.forces
     return ComplementaritySolution(
-        forces=x,
-        rates=problem.D @ x + problem.b,
-        modes=tuple(mode for mode, _ in chosen.modes),
-        directions=np.array([direction for _, direction in chosen.modes]).reshape(-1, 2),
-        active_rows=chosen.rows,
-        forces_unique=chosen.unique,
-        residual=problem.residual((x / problem.scale)[problem.rows]),
+        **_by_forces(problem, chosen),
         verdict=verdict,
         alternatives=tuple(_alternative(problem, further) for further in alternatives),
         message="; ".join(part for part in (message, chosen.message) if part),
+        _problem=problem,
+        _independent=z,
     )
+
+
+def _by_forces(problem: Problem, chosen: ActiveSet) -> dict[str, Any]:
+    """What a solution says of its forces and modes."""
+    x = chosen.forces
+    return {
+        "forces": x,
+        "rates": problem.D @ x + problem.b,
+        "modes": tuple(mode for mode, _ in chosen.modes),
+        "directions": np.array([direction for _, direction in chosen.modes]).reshape(-1, 2),
+        "active_rows": chosen.rows,
+        "forces_unique": chosen.unique,
+        "residual": problem.residual((x / problem.scale)[problem.rows]),
+    }
 
 
 class Motion(Enum):
@@ -261,7 +304,7 @@ def _solutions(problem: Problem, start: np.ndarray) -> tuple[list[np.ndarray], V
     if complete:
         message = "no solution (Painleve): in no mode do the forces obey the laws"
         return [z], Verdict.NONE, message
-    return [z], Verdict.NONE, f"no solution found (residual {residual:.1e})"
+    return [z], Verdict.NOT_FOUND, f"no solution found (residual {residual:.1e})"
 
 
 def _from_loads(problem: Problem, known: list[np.ndarray]) -> list[np.ndarray]:

@@ -32,7 +32,6 @@ from multiarm.events.complementarity.problem import (
     CONSISTENT,
     RANK,
     ROUNDED_RESIDUAL,
-    Cone,
     Problem,
 )
 from multiarm.events.complementarity.semismooth import NORMAL, SINGLE, TANGENT, Laws
@@ -208,21 +207,22 @@ def _linearise(problem: Problem, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     identity = np.eye(z.size)
     A = np.where(at_bound[:, None], identity, G)
     r = np.where(at_bound, z - bounded, w)
-    for cone in problem.cones.values():
-        tangents = cone.tangents
-        radius, length = cone.mu * max(p[cone.normal], 0.0), np.hypot(*p[tangents])
-        if radius == 0.0:
-            A[tangents], r[tangents] = identity[tangents], z[tangents]
-        elif length > radius:
-            A[tangents], r[tangents] = _slip(cone, G, z, p)
+    if not problem.cones:
+        return A, r
+    normals = np.array(list(problem.cones))
+    mu = np.array([cone.mu for cone in problem.cones.values()])
+    tangents = normals[:, None] + (1, 2)
+    radius, length = mu * np.maximum(p[normals], 0.0), np.hypot(*p[tangents].T)
+    none = tangents[radius == 0.0]
+    A[none], r[none] = identity[none], z[none]
+    slips = (radius > 0.0) & (length > radius)
+    if np.any(slips):
+        normals, tangents, mu = normals[slips], tangents[slips], mu[slips]
+        # the direction of slip is among the unknowns
+        radius, length = radius[slips], length[slips]
+        d, dp = p[tangents] / length[:, None], identity - G
+        turn = (radius / length)[:, None, None] * (np.eye(2) - d[:, :, None] * d[:, None, :])
+        tied = (mu[:, None] * d)[:, :, None] * dp[normals][:, None, :]
+        A[tangents] = identity[tangents] - tied - turn @ dp[tangents]
+        r[tangents] = z[tangents] - radius[:, None] * d
     return A, r
-
-
-def _slip(cone: Cone, G: np.ndarray, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of a contact that begins to slip, its direction among the unknowns."""
-    tangents, length = cone.tangents, np.hypot(*p[cone.tangents])
-    d, radius = p[tangents] / length, cone.mu * p[cone.normal]
-    dp = np.eye(z.size) - G
-    turn = (radius / length) * (np.eye(2) - np.outer(d, d))
-    rows = np.eye(z.size)[tangents] - cone.mu * np.outer(d, dp[cone.normal]) - turn @ dp[tangents]
-    return rows, z[tangents] - radius * d

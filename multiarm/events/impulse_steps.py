@@ -1,0 +1,280 @@
+r"""Impulse steps: contact laws between the impulses of a short time and the velocities at its end.
+
+Where events follow one another without end (contacts chatter, bounce ever faster, or stick and slip
+in turns), or where no accelerations obey the contact laws (Painleve), a run goes on in steps of
+Moreau and Jean.  With :math:`q_m` half a step ahead,
+
+.. math:: q_m = q \oplus \tfrac h2 v, \qquad
+          v^+ = v + h\,a(q_m, v) + M^{-1} J^T p, \qquad
+          q^+ = q_m \oplus \tfrac h2 v^+ ,
+
+where ``a`` are the accelerations without unilateral contacts, joint stops and dry friction at rest,
+and the impulses ``p`` of these obey their laws with the rates :math:`y = J v^+` at the end.  A
+contact whose gap would close gets the impulse with which it just does,
+:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`, or, with a restitution e, bounces as in an
+impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  Friction opposes the slip at the end, and
+the impulse of dry friction in a joint is bounded by ``h`` times its torque.  A solution exists
+where none of accelerations does: an impulse without a collision.  The step is of the first order;
+its error is estimated from two steps of half its length.
+
+References: J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302,
+1988; M. Jean, "The non-smooth contact dynamics method", Comput. Methods Appl. Mech. Eng. 177, 1999;
+V. Acary, B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer 2008,
+chapter 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.unilateral import DRY_JOINT, Constraint
+from multiarm.dynamics.coordinates import retract
+from multiarm.dynamics.equations import evaluate_state
+from multiarm.dynamics.failures import require_ok
+from multiarm.events.complementarity import Bounded, ComplementaritySolution, ContactLaw
+from multiarm.events.contact_laws import energy_added, law_of, solve_sides
+from multiarm.events.event_detection import (
+    below_patch_constraints,
+    off_patch_constraints,
+    pressed_constraints,
+)
+from multiarm.events.mode import Mode
+from multiarm.events.modes import Modes, set_constraint_forces
+from multiarm.events.row_dynamics import RowDynamics
+from multiarm.events.states_by_forces import StatesByForces
+from multiarm.results.contact_states import ContactState
+
+_NO_MODE = Mode((), ())
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where a run is between two steps.
+
+    Attributes
+    ----------
+    t : float
+        [s]
+    configuration, velocity, states, works : ndarray
+        As in the data: (7 F + n,) and (6 F + n,) for F floating frames and n numbers; states of
+        effects, works of all forces [J].
+    """
+
+    t: float
+    configuration: np.ndarray
+    velocity: np.ndarray
+    states: np.ndarray
+    works: np.ndarray
+
+
+@dataclass(frozen=True)
+class ImpulseStep:
+    """Result of a step.
+
+    Attributes
+    ----------
+    end : Point
+    mode : Mode
+        What the constraints do at its end.
+    residual : float
+        Of the complementarity problem.
+    touching : set of int
+        Contacts and stops that pushed in it, those that hold both ways, and springs that push.
+    """
+
+    end: Point
+    mode: Mode
+    residual: float
+    touching: Set[int]
+
+
+class _Rates(NamedTuple):
+    """What changes velocities, states of effects and works, without unilateral constraints."""
+
+    acceleration: np.ndarray
+    of_states: np.ndarray
+    powers: np.ndarray  # [W]
+
+
+class _Involved(NamedTuple):
+    """The constraints that may have impulses in a step, and their rows in the middle of it.
+
+    Attributes
+    ----------
+    constraints : dict
+        By their numbers.
+    at : dict
+        Their rows, and the place of each in the arrays below.
+    gaps, before : ndarray, shape (m,)
+        Gaps [m, rad], and their rates with the velocity at the beginning [m/s, rad/s].
+    jacobian, response, moved : ndarray, shapes (m, v), (m, m), (v, m)
+        Rows of the v velocities, and what unit forces on these rows do, see
+        :class:`multiarm.events.row_dynamics.RowDynamics`.
+    off_patch : frozenset of int
+        Constraints beyond the edge of their patch.
+    """
+
+    constraints: dict[int, Constraint]
+    at: dict[int, int]
+    gaps: np.ndarray
+    before: np.ndarray
+    jacobian: np.ndarray
+    response: np.ndarray
+    moved: np.ndarray
+    off_patch: frozenset[int]
+
+
+class ImpulseStepper:
+    """Makes impulse steps of a system; they leave their end in its data.
+
+    Parameters
+    ----------
+    modes : Modes
+    off_patch : frozenset of int
+        Constraints that were beyond the edge of their patch before: one that is on it stays there.
+    above : set of int
+        Constraints known not to be below their patch.
+    """
+
+    def __init__(self, modes: Modes, off_patch: frozenset[int], above: Set[int]) -> None:
+        self._modes, self._rows = modes, RowDynamics(modes)
+        self._constraints = modes.unilateral.constraints
+        self._off_patch, self._above = off_patch, above
+
+    def step(self, start: Point, h: float) -> ImpulseStep:
+        """A step from a point, of length ``h`` [s].
+
+        Raises
+        ------
+        SolverError
+            When a state in it cannot be evaluated.
+        """
+        layout, half = self._modes.full.model.layout, 0.5 * h
+        middle = replace(
+            start,
+            t=start.t + half,
+            configuration=retract(layout, start.configuration, half * start.velocity),
+        )
+        self.put(middle)
+        pressed = pressed_constraints(self._modes, _NO_MODE, set())
+        set_constraint_forces(self._modes.full, self._states_without(pressed))
+        rates = self._evaluate()
+        involved = self._involve(h)
+        free = start.velocity + h * rates.acceleration
+        solution, pulling = self._impulses(involved, involved.jacobian @ free, h)
+        velocity = free + involved.moved @ solution.forces
+        self.put(replace(middle, velocity=velocity))
+        # powers of both velocities: their mean is what changes the kinetic energy
+        works = start.works + half * (rates.powers + self._evaluate().powers)
+        work = energy_added(solution.forces, involved.before, involved.jacobian @ velocity)
+        works[self._modes.full.model.effects.slot("impacts")] += work
+        works[-1] += work
+        configuration = retract(layout, middle.configuration, half * velocity)
+        states = start.states + h * rates.of_states
+        end = Point(start.t + h, configuration, velocity, states, works)
+        self.put(end)
+        mode = self._mode(involved, solution, pulling, pressed)
+        touching = pressed | {
+            u
+            for u, constraint in involved.constraints.items()
+            if constraint.kind != DRY_JOINT
+            and (constraint.bilateral or solution.forces[involved.at[constraint.row]] > 0.0)
+        }
+        return ImpulseStep(end, mode, solution.residual, touching)
+
+    def put(self, point: Point) -> None:
+        """Write a point into the data, with the kinematics of all rows."""
+        arrays = self._modes.bilateral.arrays
+        arrays.time.now = point.t
+        arrays.state.configuration[:] = point.configuration
+        arrays.state.velocity[:] = point.velocity
+        arrays.effects.states[:] = point.states
+        self._rows.update()
+
+    def _evaluate(self) -> _Rates:
+        """Without forces of unilateral constraints, at the point in the data."""
+        data = self._modes.bilateral
+        require_ok(data, evaluate_state(data.struct, 0.0, 0.0))
+        effects = data.arrays.effects
+        return _Rates(
+            data.arrays.accelerations.a.copy(), effects.state_rates.copy(), effects.power.copy()
+        )
+
+    def _states_without(self, pressed: Set[int]) -> list[ContactState]:
+        """States in which only compliant contacts that are ``pressed`` have forces."""
+        return [
+            ContactState.TOUCHING if u in pressed else ContactState.OPEN
+            for u in range(len(self._constraints))
+        ]
+
+    def _involve(self, h: float) -> _Involved:
+        """The constraints whose gaps are closed at the point in the data, or may close soon."""
+        full = self._modes.full
+        off_patch = off_patch_constraints(
+            self._modes, replace(_NO_MODE, off_patch=self._off_patch), set()
+        )
+        apart = off_patch | below_patch_constraints(full, off_patch | self._above)
+        gaps, rates = self._rows.gaps, self._rows.rates
+        reach = h * float(np.max(np.abs(full.arrays.state.velocity)))
+        constraints = {
+            u: constraint
+            for u, constraint in enumerate(self._constraints)
+            if not constraint.compliant
+            and u not in apart
+            and (
+                constraint.kind == DRY_JOINT
+                or constraint.bilateral
+                or gaps[constraint.row] + h * min(rates[constraint.row], 0.0) <= reach
+            )
+        }
+        rows = [row for c in constraints.values() for row in (c.row, *c.tangents)]
+        gaps, rates, jacobian = gaps[rows], rates[rows], self._rows.jacobian(rows)
+        response, moved = self._rows.response(jacobian, self._modes.bilateral)
+        at = {row: k for k, row in enumerate(rows)}
+        return _Involved(constraints, at, gaps, rates, jacobian, response, moved, off_patch)
+
+    def _impulses(
+        self, involved: _Involved, free: np.ndarray, h: float
+    ) -> tuple[ComplementaritySolution, frozenset[int]]:
+        """Impulses with the rates at the end, ``free`` without them, and constraints that pull."""
+        laws: list[ContactLaw] = []
+        shifted = free.copy()
+        for constraint in involved.constraints.values():
+            law, k = law_of(constraint, involved.at, None), involved.at[constraint.row]
+            if isinstance(law, Bounded):
+                law = Bounded(k, h * law.lower, h * law.upper)
+            elif not constraint.bilateral:
+                gap, rate = involved.gaps[k], involved.before[k]
+                shifted[k] += (
+                    2.0 * gap / h if gap > 0.0 else constraint.restitution * min(rate, 0.0)
+                )
+            laws.append(law)
+        constraints = list(involved.constraints.values())
+        solution, pulls = solve_sides(constraints, involved.response, shifted, laws)
+        numbers = list(involved.constraints)
+        return solution, frozenset(numbers[k] for k in pulls)
+
+    def _mode(
+        self,
+        involved: _Involved,
+        solution: ComplementaritySolution,
+        pulling: frozenset[int],
+        pressed: Set[int],
+    ) -> Mode:
+        """What the constraints do by their impulses."""
+        by_impulses = StatesByForces(
+            involved.constraints, involved.at, solution, involved.response, {}
+        )
+        by_impulses.keep_closed(frozenset())
+        states, rows = self._states_without(pressed), list(involved.at)
+        for u, state in by_impulses.states.items():
+            states[u] = state
+        held = tuple(sorted(rows[k] for k in by_impulses.held))
+        off_patch = involved.off_patch
+        above = off_patch.union(self._above, by_impulses.states)
+        below = below_patch_constraints(self._modes.full, above)
+        return Mode(tuple(states), held, pulling, off_patch, below, by_impulses.directions)

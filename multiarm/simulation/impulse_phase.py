@@ -1,0 +1,114 @@
+"""Impulse steps of a run: their lengths, and where they pause.
+
+The length of a step is controlled as that of any other: the same time is made in one step and in
+two, and the difference must meet the tolerance of the run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from multiarm.dynamics.coordinates import chart_places, difference
+from multiarm.dynamics.solver.bounds import IMPACT_RESIDUAL
+from multiarm.errors import SolverError
+from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper, Point
+from multiarm.events.mode import Mode
+from multiarm.integration.step_control import shortest_step
+from multiarm.integration.time_loop import sample_time
+from multiarm.simulation.setup import Run
+
+# The first step, as a part of the longest one that has led to an event.
+FIRST_SHARE = 1e-3
+# A step this short is made whatever its error: velocities jump within it [s].
+SHORTEST = 1e-11
+# Steps grow where their error is below this part of the tolerance.
+SMALL_ERROR = 0.2
+
+
+@dataclass
+class ImpulsePhase:
+    """A time in which a run makes impulse steps.
+
+    Attributes
+    ----------
+    stepper : ImpulseStepper
+    length : float
+        Of the next step [s].
+    ended : Mode
+        The one before it.
+    begin : float
+        [s]
+    steps : int
+        So far.
+    """
+
+    stepper: ImpulseStepper
+    length: float
+    ended: Mode
+    begin: float
+    steps: int = 0
+
+    def step(self, run: Run, start: Point, until: float) -> ImpulseStep:
+        """Make a step that is accurate enough, at most until a time [s], and then just to it.
+
+        Raises
+        ------
+        SolverError
+            When no impulses obey the contact laws, however short the step.
+        """
+        longest = run.settings.longest_step if run.settings.adaptive else run.clock.step
+        while True:
+            left = until - start.t
+            h = min(self.length, left)
+            whole = self.stepper.step(start, h) if run.settings.adaptive else None
+            middle = self.stepper.step(start, 0.5 * h)
+            end = self.stepper.step(middle.end, 0.5 * h)
+            run.clock.evaluations += 6 if run.settings.adaptive else 4
+            error = 0.0 if whole is None else _error(run, whole.end, end.end)
+            solved = max(middle.residual, end.residual) < IMPACT_RESIDUAL
+            if (error <= 1.0 and solved) or h <= max(SHORTEST, 4.0 * shortest_step(start.t)):
+                if not solved:
+                    raise SolverError("no impulses of contacts and stops obey the contact laws")
+                if error <= SMALL_ERROR and h == self.length:
+                    self.length = min(2.0 * h, longest)
+                # rounded times of two halves may end before a sample, which would be left out
+                return end if h < left else replace(end, end=replace(end.end, t=until))
+            self.length = 0.25 * h
+
+
+def point_of(run: Run) -> Point:
+    """Where a run is: the state in its data, and the works of its step."""
+    arrays = run.data.arrays
+    return Point(
+        run.clock.t,
+        arrays.state.configuration.copy(),
+        arrays.state.velocity.copy(),
+        arrays.effects.states.copy(),
+        run.stepping.step.z[chart_places(arrays).works :].copy(),
+    )
+
+
+def pause_of(run: Run) -> float:
+    """The next time at which the loop has something to do [s]: a sample, a jump of a force.
+
+    The present, where the run is at its end.
+    """
+    clock, settings = run.clock, run.settings
+    times = [clock.end, clock.control_due]
+    if clock.sample < clock.samples:
+        times.append(float(sample_time(clock, settings, clock.sample)))
+    times += settings.breakpoints.tolist()
+    now = clock.t + shortest_step(clock.t)
+    return min((time for time in times if time > now), default=clock.t)
+
+
+def _error(run: Run, whole: Point, halves: Point) -> float:
+    """The difference of two ends, in units of the tolerances."""
+    tolerances = run.stepping.step.tolerance
+    places = chart_places(run.data.arrays)
+    apart = difference(run.data.model.layout, whole.configuration, halves.configuration)
+    later = np.concatenate([whole.velocity - halves.velocity, whole.states - halves.states])
+    of_places = np.max(np.abs(apart) / tolerances[: places.velocity], initial=0.0)
+    return float(max(of_places, np.max(np.abs(later) / tolerances[places.velocity :], initial=0.0)))

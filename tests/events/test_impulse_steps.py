@@ -1,0 +1,92 @@
+"""Impulse steps: closed forms, and runs that go on in them alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from event_scenes import GRAVITY, box, on_floor, response_of_rod, rod, run
+
+import multiarm as ma
+from multiarm.events import consistent_mode
+from multiarm.events.modes import Modes
+from multiarm.simulation import event_handling
+
+
+def jammed(angle: float, speed: float) -> np.ndarray:
+    """Twist after the impulse that ends the slip of the rod's lower end, by hand (m = L = 1)."""
+    c, s = math.cos(angle), math.sin(angle)
+    # the end's velocity along x and z, by the twist along x, z and about y: J M^-1 J^T p = -J v
+    J = np.array([[1.0, 0.0, -s / 2], [0.0, 1.0, c / 2]])
+    inverse = np.diag([1.0, 1.0, 12.0])
+    before = np.array([speed, 0.0, 0.0])
+    impulse = np.linalg.solve(J @ inverse @ J.T, -J @ before)
+    assert impulse[1] > 0.0
+    return before + inverse @ J.T @ impulse
+
+
+@pytest.mark.parametrize("angle", [0.8, 1.0, 1.2])
+def test_a_rod_that_jams_has_the_impulse_that_ends_its_slip(angle):
+    assert response_of_rod(angle, 2.0) < 0.0
+    trajectory = run(rod(angle, 2.0, -3.0), 0.05)
+    assert trajectory.events[0]["kind"] == "jams" and trajectory.events[0]["time"] == 0.0
+    found = trajectory.object_twist[0, [0, 2, 4]]
+    np.testing.assert_allclose(found, jammed(angle, -3.0), atol=1e-8)
+    work = trajectory.energy_balance
+    assert np.ptp(work) < 1e-6
+
+
+def test_by_choice_a_rod_that_jams_stops_the_run():
+    scene = rod(1.0, 2.0, -3.0)
+    stopping = scene.run.model_copy(update={"painleve": "stop"})
+    with pytest.raises(ma.errors.SolverError, match="Painleve"):
+        run(scene.model_copy(update={"run": stopping}), 0.05)
+
+
+@pytest.fixture
+def without_modes(monkeypatch):
+    """No mode ever holds: from its first event on a run makes impulse steps only."""
+
+    def never(modes, decision, ended=None):
+        found, _ = consistent_mode.enter_consistent_mode(modes, decision, ended)
+        return found, False
+
+    monkeypatch.setattr(event_handling, "enter_consistent_mode", never)
+    monkeypatch.setattr(Modes, "contradicted", property(lambda modes: True))
+
+
+def slide(accuracy: float):
+    """A box that falls 1 mm, slides, and comes to rest."""
+    body = box(height=1e-3, twist=[0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return run(on_floor(body, mu=0.2), 0.4, accuracy=accuracy)
+
+
+def test_a_box_slides_to_rest_in_impulse_steps_alone(without_modes):
+    fall = math.sqrt(2 * 1e-3 / GRAVITY)
+    hit = math.sqrt(2 * 1e-3 * GRAVITY)
+    speed = 0.4 - 0.2 * hit  # friction acts in the impact, too
+    end = 0.4 * fall + speed**2 / (2 * 0.2 * GRAVITY)
+    errors = []
+    for accuracy in (1e-4, 1e-6):
+        trajectory = slide(accuracy)
+        assert trajectory.status == "completed" and trajectory.statistics["impulse_steps"] > 20
+        np.testing.assert_allclose(trajectory.object_twist[-1], 0.0, atol=1e-9)
+        errors.append(abs(trajectory.object_position[-1, 0] - end))
+        assert np.all(trajectory.contact_forces["floor"][:, 0::3] >= 0.0)
+    assert errors[0] < 1e-4 and errors[1] < min(1e-6, errors[0])
+
+
+def test_a_box_bounces_in_impulse_steps_alone(without_modes):
+    drop, e = 0.02, 0.5
+    trajectory = run(on_floor(box(height=drop), e), 0.16, accuracy=1e-5)
+    assert trajectory.status == "completed" and trajectory.statistics["impulse_steps"] > 20
+    fall = math.sqrt(2 * drop / GRAVITY)
+    hits = fall * np.array([1.0, 1.0 + 2.0 * e, 1.0 + 2.0 * e + 2.0 * e**2])
+    after = np.searchsorted(hits, trajectory.time)
+    assert set(after) == {0, 1, 2, 3}
+    since = trajectory.time - np.concatenate([[0.0], hits])[after]
+    up = np.array([0.0, *np.sqrt(2 * GRAVITY * drop) * e ** np.arange(1, 4)])[after]
+    start = np.array([drop, 0.0, 0.0, 0.0])[after]
+    height = start + up * since - 0.5 * GRAVITY * since**2
+    np.testing.assert_allclose(trajectory.object_position[:, 2] - 0.1, height, atol=2e-5)
