@@ -17,7 +17,7 @@ SOLVED = 1e-12
 OBEYED = 1e-11
 # Rates of two algorithms, as a part of the largest: an interior point method to gaps of 1e-12,
 # where slips near to zero know their directions from half as many digits.
-AGREE = 1e-5
+AGREE = 1e-4
 
 
 def solution(D, b, laws, start=None):
