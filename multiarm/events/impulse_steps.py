@@ -10,12 +10,12 @@ Moreau and Jean.  With :math:`q_m` half a step ahead,
 
 where ``a`` are the accelerations without unilateral contacts, joint stops and dry friction at rest,
 and the impulses ``p`` of these obey their laws with the rates :math:`y = J v^+` at the end.  A
-contact whose gap would close gets the impulse with which it just does,
-:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`, or, with a restitution e, bounces as in an
-impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  Friction opposes the slip at the end, and
-the impulse of dry friction in a joint is bounded by ``h`` times its torque.  A solution exists
-where none of accelerations does: an impulse without a collision.  The step is of the first order;
-its error is estimated from two steps of half its length.
+contact that is open at :math:`q_m` and would close gets the impulse with which it just does,
+:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`; one that is closed there bounces with its
+restitution e as in an impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  Friction opposes
+the slip at the end, and the impulse of dry friction in a joint is bounded by ``h`` times its
+torque.  A solution exists where none of accelerations does: an impulse without a collision.  The
+step is of the first order; its error is estimated from two steps of half its length.
 
 References: J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302,
 1988; M. Jean, "The non-smooth contact dynamics method", Comput. Methods Appl. Mech. Eng. 177, 1999;

@@ -33,7 +33,7 @@ from multiarm.events.event_detection import (
     pressed_constraints,
     touching_constraints,
 )
-from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper, Point
+from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper
 from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
@@ -152,12 +152,9 @@ class EventHandler:
 
     def _jam(self, time: float, participants: Participants) -> None:
         """Give the state in the data the velocity after an impulse without a collision."""
-        arrays, modes = self.modes.bilateral.arrays, self.modes
-        works = np.zeros(arrays.effects.power.size)
-        configuration = arrays.state.configuration.copy()
-        states = arrays.effects.states.copy()
-        start = Point(time, configuration, arrays.state.velocity.copy(), states, works)
-        stepper = ImpulseStepper(modes, participants.off_patch, participants.touching)
+        data = self.modes.bilateral
+        start = point_of(data, time, np.zeros(data.arrays.effects.power.size))
+        stepper = ImpulseStepper(self.modes, participants.off_patch, participants.touching)
         stepper.put(replace(start, velocity=stepper.step(start, SHORTEST).end.velocity))
         self._log.add(RunEvent(time, EventKind.JAMS, JAMS))
 
@@ -220,10 +217,10 @@ class EventHandler:
             self._log_decision(t, decision, before)
             self._continue(run)
             return ""
-        if decision.undecided and decision.undecided.verdict is Verdict.NONE:
-            if self._stops_at_painleve:
-                return decision.undecided.message
+        if self._jams(decision):
             self._log.add(RunEvent(t, EventKind.JAMS, JAMS))
+        elif decision.undecided and decision.undecided.verdict is Verdict.NONE:
+            return decision.undecided.message
         if decision.hits and not decision.undecided:
             self._log_decision(t, decision, before)
             before = decision.mode
@@ -240,7 +237,8 @@ class EventHandler:
         """Go on in impulse steps until a mode holds, or the loop has something to do."""
         until, begin = pause_of(run), run.clock.t
         for _ in range(IMPULSE_STEPS if until > begin else 0):
-            step = phase.step(run, point_of(run), until)
+            start = point_of(run.data, run.clock.t, self._works(run))
+            step = phase.step(run, start, until)
             self.impulse_steps, phase.steps = self.impulse_steps + 1, phase.steps + 1
             self.residual = max(self.residual, step.residual)
             if self._take(run, step):
@@ -264,7 +262,7 @@ class EventHandler:
     def _take(self, run: Run, step: ImpulseStep) -> bool:
         """Continue from the end of an impulse step; whether a mode holds there."""
         run.clock.t = step.end.t
-        run.stepping.step.z[chart_places(run.data.arrays).works :] = step.end.works
+        self._works(run)[:] = step.end.works
         self._close_gaps(run, step.mode)
         self.modes.enter(step.mode)
         self._continue(run)
@@ -309,6 +307,11 @@ class EventHandler:
                 speeds[u] = HIT_SHARE * speed
         return speeds
 
+    @staticmethod
+    def _works(run: Run) -> np.ndarray:
+        """The works at the beginning of the run's next step [J], to be read and written."""
+        return run.stepping.step.z[chart_places(run.data.arrays).works :]
+
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
         step, bilateral = run.stepping.step, self.modes.bilateral
@@ -348,7 +351,7 @@ class EventHandler:
     def _add_impact(self, run: Run, decision: Decision) -> None:
         """Count the energy of an impact among the works."""
         if decision.energy:
-            works = run.stepping.step.z[chart_places(run.data.arrays).works :]
+            works = self._works(run)
             works[run.data.model.effects.slot("impacts")] += decision.energy
             works[-1] += decision.energy
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from multiarm.dynamics.coordinates import chart_places, difference
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.solver.bounds import IMPACT_RESIDUAL
 from multiarm.errors import SolverError
 from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper, Point
@@ -78,16 +79,10 @@ class ImpulsePhase:
             self.length = 0.25 * h
 
 
-def point_of(run: Run) -> Point:
-    """Where a run is: the state in its data, and the works of its step."""
-    arrays = run.data.arrays
-    return Point(
-        run.clock.t,
-        arrays.state.configuration.copy(),
-        arrays.state.velocity.copy(),
-        arrays.effects.states.copy(),
-        run.stepping.step.z[chart_places(arrays).works :].copy(),
-    )
+def point_of(data: Data, t: float, works: np.ndarray) -> Point:
+    """The state in the data, at a time [s] and with works that have been done [J]."""
+    state, states = data.arrays.state, data.arrays.effects.states
+    return Point(t, state.configuration.copy(), state.velocity.copy(), states.copy(), works.copy())
 
 
 def pause_of(run: Run) -> float:

@@ -1,4 +1,4 @@
-r"""The contact problem of one instant as plain arrays, compiled: for steps in time by impulses.
+r"""The contact problem of one instant as plain arrays, compiled.
 
 The laws are those of :mod:`~multiarm.events.complementarity.problem`, all but ``Sliding``: at the
 level of impulses and velocities friction has no given direction. With D symmetric and positive
