@@ -9,10 +9,16 @@ import numpy as np
 
 from multiarm.assembly.blocks import Block, RobotPart
 from multiarm.contacts.table import JointRow, WheelRow
-from multiarm.contacts.unilateral import ContactParameters, RowBuilder, UnilateralConstraints
+from multiarm.contacts.unilateral import (
+    ContactParameters,
+    RowBuilder,
+    TimedJoint,
+    TimedRows,
+    UnilateralConstraints,
+)
 from multiarm.errors import SceneError
-from multiarm.geometry.records import Contact, Patch, plane, sphere, tangent_rows
-from multiarm.scene import Scene, Shape
+from multiarm.geometry.records import Contact, Patch, basis, plane, sphere, tangent_rows
+from multiarm.scene import JointSpec, Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
 from multiarm.scene.shapes import NoCornersError
@@ -67,7 +73,8 @@ def unilateral_constraints(
         of the object that can touch the floor are unknown.
     """
     parameters = _contact_parameters(scene, contacts)
-    rows, first = RowBuilder(), 0
+    timed = {joint.connection: joint for joint in scene.joints if joint.intervals}
+    rows, first = RowBuilder(timed), 0
     for block in blocks:
         # the rows of an owner stand together: those of an arm's joints follow its contacts
         firsts = np.cumsum([first, *(len(part.joints) for part in block.parts)]).tolist()
@@ -84,12 +91,13 @@ def unilateral_constraints(
         if (floor := scene.effects.floor) is not None and floor.is_of(name):
             for contact in floor_contacts(floor, body.shape):
                 rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
-    if not (rows.constraints or rows.compliant):
+    if not (rows.constraints or rows.compliant or rows.timed):
         return None
+    joints = tuple(_timed_joint(timed[name], of_joint) for name, of_joint in rows.timed.items())
     spec = scene.effects.unilateral_contacts
     as_written = spec is not None and spec.start == "as_written"
     unable_to_open = [constraint.row for constraint in rows.constraints if constraint.bilateral]
-    return UnilateralConstraints(
+    constraints = UnilateralConstraints(
         records=rows.records,
         constraints=tuple(rows.constraints),
         model=tuple(rows.model),
@@ -97,6 +105,23 @@ def unilateral_constraints(
         assembled=tuple(sorted([*rows.bilateral, *unable_to_open]) if as_written else rows.model),
         bilateral=tuple(rows.bilateral),
         compliant=rows.compliant_contacts(),
+        timed=joints,
+    )
+    assembled = constraints.rows_held_by(constraints.holding_at(0.0), constraints.assembled)
+    return replace(constraints, assembled=assembled)
+
+
+def _timed_joint(joint: JointSpec, rows: TimedRows) -> TimedJoint:
+    turn = np.eye(4)
+    turn[:3, :3] = basis(joint.z_axis)
+    return TimedJoint(
+        connection=joint.connection,
+        rows=tuple(rows.rows),
+        constraints=tuple(rows.constraints),
+        intervals=joint.intervals,
+        located=joint.at is None,
+        offset=turn.T @ joint.start_shift() @ turn,
+        speed_limit=np.inf if joint.speed_limit is None else joint.speed_limit,
     )
 
 
@@ -183,6 +208,7 @@ def _contact_parameters(
     """Parameters of contacts that can open, slide or give way: arm -> number of the contact."""
     effects = scene.effects
     faults: list[str] = []
+    timed = {joint.connection for joint in scene.joints if joint.intervals}
     unilateral, friction = effects.unilateral_contacts, effects.contact_friction
     compliance = effects.contact_compliance
     for name, spec, pushing in (
@@ -210,6 +236,11 @@ def _contact_parameters(
                         f"of contacts, which has no friction; give 'mu' to contacts of surfaces"
                     )
             if compliance is not None and _named(compliance, arm, contact):
+                if arm in timed:
+                    faults.append(
+                        f"$.effects.contact_compliance: joint '{arm}' holds for some of the time, "
+                        f"its contacts are rigid; name those of other joints with 'contacts'"
+                    )
                 if mu is not None:
                     faults.append(
                         f"$.effects.contact_compliance: contact '{arm}/{contact.name}' has "

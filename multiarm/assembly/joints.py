@@ -323,7 +323,8 @@ def _joint_laws(
     """Stops, dry friction, couplings and wheels; None where no row can be unilateral."""
     effects = scene.effects
     has_friction = any(contact.mu for of_joint in contacts.values() for contact in of_joint)
-    if not (effects.with_events or has_friction):
+    has_times = any(joint.intervals for joint in scene.joints)
+    if not (effects.with_events or has_friction or has_times):
         return None
     limits = {
         name: dict(zip(arm.joint_names, map(tuple, arm.position_limits), strict=True))

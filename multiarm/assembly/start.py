@@ -6,21 +6,10 @@ object moves too.  The joints stay within their limits
 and on the branch of the written start (:mod:`multiarm.assembly.loop_closure`).  A start that is too
 far off, or whose contacts contradict each other, is refused with its residuals.
 
-*Velocities.*  The least change in the metric of the inertia,
-
-.. math:: \min_{\delta v} \tfrac12\, \delta v^T M\, \delta v \ \text{ with }\ W^T(v + \delta v) = 0,
-
-which is an inelastic impact that closes all gap rates; ``W`` may have dependent columns.  With
-:math:`M = L L^T` and :math:`A = W^T L^{-T}` the velocities :math:`w = L^T v` are projected on the
-null space of ``A``, from its singular value decomposition:
-
-.. math:: w^+ = w - V_r V_r^T w, \qquad
-    \tfrac12 |w|^2 - \tfrac12 |w^+|^2 = \tfrac12 |V_r^T w|^2 .
-
-Nothing is divided by a singular value: dependent rows and singular arms need no special treatment.
-Rates close also along directions that an arm has almost lost, which the projection of a run
-(:mod:`multiarm.integration.projection`), linear in the arms, leaves with those that depend on
-others.
+*Velocities.*  The least change in the metric of the inertia, an inelastic impact that closes all
+gap rates (:mod:`multiarm.dynamics.impacts`).  Rates close also along directions that an arm has
+almost lost, which the projection of a run (:mod:`multiarm.integration.projection`), linear in the
+arms, leaves with those that depend on others.
 """
 
 from __future__ import annotations
@@ -52,6 +41,7 @@ from multiarm.dynamics.failures import (
     owner_of,
     require_ok,
 )
+from multiarm.dynamics.impacts import inelastic_impact
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import StartReport
@@ -379,12 +369,9 @@ def _close_rates(data: Data, size: float) -> float:
     for _ in range(3):
         if not np.max(np.abs(data.contact_rows.gap_rate), initial=0.0) > closed:
             break
-        A = np.linalg.solve(place.factor, place.rows.T).T  # (N, 6 F + n)
-        _, s, Vt = np.linalg.svd(A, full_matrices=False)
-        Vt = Vt[s > 1e-10 * s[0]]
-        taken = Vt @ (place.factor.T @ v)
-        v -= np.linalg.solve(place.factor.T, Vt.T @ taken)
-        lost += 0.5 * float(taken @ taken)
+        impact = inelastic_impact(place.rows, place.factor, v)
+        v += impact.change
+        lost += impact.energy_lost
         b.state.velocity[:] = linkage.unit * v
         require_ok(data, update_kinematics(data.struct))
     return lost

@@ -335,6 +335,20 @@ def copy_record(table, record, selected, k):
     copy(table.geometry[record], selected.geometry[k])
 
 
+def copy_geometry(source: ContactTable, k: int, table: ContactTable, record: int) -> None:
+    """Copy the geometry of record ``k`` of a table to one of the same sort in another table."""
+    table.geometry[record] = source.geometry[k]
+    code, other = (Code(*row.tolist()) for row in (table.codes[record], source.codes[k]))
+    parts = other.parts if other.kind == COMBINED else 0
+    pairs = [(code.first_part + i, other.first_part + i) for i in range(parts)]
+    if other.kind == TANGENT and other.normal_part > 0:
+        pairs.append((code.normal_part, other.normal_part))
+    for at, of_source in pairs:
+        copy_geometry(source, of_source, table, at)
+    for i in range({ON_SURFACE: 1, PAIR: 2}.get(other.kind, 0)):
+        table.shapes[code.shape + i] = source.shapes[other.shape + i]
+
+
 class JointRows(NamedTuple):
     """The rows of W that belong to joints of a robot, (r,) numbers each."""
 

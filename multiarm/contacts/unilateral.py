@@ -1,11 +1,13 @@
-"""Unilateral constraints of a scene: contacts that can open, joint stops, dry friction at rest.
+"""Constraints of a scene that come and go: contacts that open, joint stops, dry friction, joints.
 
 A *unilateral constraint* is active at some times only: a contact that can only push (with its two
 tangents, if it has friction), a joint at an end of its range, a joint that dry friction holds at
 rest.  A contact that holds both ways and has friction is one of them too, of which the tangents
 alone come and go.  Compliant contacts are springs and dampers: their rows are measured, never
-active.  All other rows are *bilateral*.  :mod:`multiarm.assembly.contact_effects` derives the
-constraints from a scene; :mod:`multiarm.events` decides which are active at a time.
+active.  A *timed joint* holds for some of the time: its rows are active while it does, and its
+contacts are unilateral constraints only then.  All other rows are *bilateral*.
+:mod:`multiarm.assembly.contact_effects` derives the constraints from a scene;
+:mod:`multiarm.events` decides which are active at a time.
 
 Rows are in the order of the stacked vectors: block by block and owner by owner the contacts of its
 connections, each followed by its tangents, and the rows of its joints; last the contacts of the
@@ -14,6 +16,7 @@ object with the floor.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Set
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +24,7 @@ import numpy as np
 
 from multiarm.contacts.table import JointRow, Record, WheelRow
 from multiarm.geometry.records import Contact
+from multiarm.scene.joints.times import Interval, Moment
 from multiarm.scene.values import of_surroundings
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
@@ -70,6 +74,45 @@ class Constraint:
 
 
 @dataclass(frozen=True, eq=False)
+class TimedJoint:
+    """A joint that holds for some of the time.
+
+    Attributes
+    ----------
+    connection : str
+    rows : tuple of int
+        Those that are active while it holds.
+    constraints : tuple of int
+        Numbers of its contacts that can open or slide, which they do only while it holds.
+    intervals : tuple of Interval
+        When it holds.
+    located : bool
+        It holds its bodies where they are when it takes hold; else only where its frames coincide.
+    offset : ndarray, shape (4, 4)
+        Its frame on the second body, in that on the first, where it takes hold.
+    speed_limit : float
+        Of its frames against each other where it takes hold [m/s].
+    """
+
+    connection: str
+    rows: tuple[int, ...]
+    constraints: tuple[int, ...]
+    intervals: tuple[Interval, ...]
+    located: bool
+    offset: np.ndarray
+    speed_limit: float
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """Beginnings and ends of its intervals in turn."""
+        return tuple(moment for interval in self.intervals for moment in interval)
+
+    def interval_at(self, t: float) -> Interval | None:
+        """The interval that a time [s] belongs to, as far as times say."""
+        return next((interval for interval in self.intervals if interval.has(t)), None)
+
+
+@dataclass(frozen=True, eq=False)
 class CompliantContacts:
     """Contacts that are springs and dampers.
 
@@ -113,6 +156,7 @@ class UnilateralConstraints:
     bilateral : tuple of int
         Rows that are active at all times.
     compliant : CompliantContacts or None
+    timed : tuple of TimedJoint
     """
 
     records: dict[str, list[Record]]
@@ -122,6 +166,7 @@ class UnilateralConstraints:
     assembled: tuple[int, ...]
     bilateral: tuple[int, ...]
     compliant: CompliantContacts | None
+    timed: tuple[TimedJoint, ...]
 
     @property
     def contacts(self) -> tuple[Constraint, ...]:
@@ -138,6 +183,32 @@ class UnilateralConstraints:
         """The same for control that counts the friction of contacts that only push."""
         tangents = [row for contact in self.grips for row in contact.tangents]
         return replace(self, of_laws=tuple(sorted([*self.model, *tangents])))
+
+    def holding_at(self, t: float) -> frozenset[int]:
+        """Numbers of the timed joints that hold at a time [s], as far as times say."""
+        return frozenset(k for k, joint in enumerate(self.timed) if joint.interval_at(t))
+
+    def bilateral_with(self, holding: Set[int]) -> tuple[int, ...]:
+        """Rows that are active while these timed joints hold, whatever contacts do."""
+        timed = (row for k in holding for row in self.timed[k].rows)
+        return tuple(sorted([*self.bilateral, *timed]))
+
+    def idle_without(self, holding: Set[int]) -> frozenset[int]:
+        """Constraints of the timed joints that do not hold."""
+        others = (joint for k, joint in enumerate(self.timed) if k not in holding)
+        return frozenset(u for joint in others for u in joint.constraints)
+
+    def rows_held_by(self, holding: Set[int], rows: Iterable[int]) -> tuple[int, ...]:
+        """Of some rows those that do not belong to timed joints which do not hold."""
+        others = set(range(len(self.timed))).difference(holding)
+        idle = frozenset().union(*(self.rows_of(k) for k in others))
+        return tuple(row for row in rows if row not in idle)
+
+    def rows_of(self, timed: int) -> frozenset[int]:
+        """All rows of a timed joint, those of its contacts and their tangents too."""
+        joint, constraints = self.timed[timed], self.constraints
+        contacts = [constraints[u] for u in joint.constraints]
+        return frozenset([*joint.rows, *(r for c in contacts for r in (c.row, *c.tangents))])
 
     @property
     def enforced(self) -> frozenset[int]:
@@ -160,11 +231,25 @@ class ContactParameters(NamedTuple):
     damping: float = 0.0  # [N s/m]
 
 
-class RowBuilder:
-    """Builder of the rows of a scene, in order, owner by owner."""
+class TimedRows(NamedTuple):
+    """Rows and numbers of constraints of a joint that holds for some of the time."""
 
-    def __init__(self) -> None:
+    rows: list[int]
+    constraints: list[int]
+
+
+class RowBuilder:
+    """Builder of the rows of a scene, in order, owner by owner.
+
+    Parameters
+    ----------
+    timed : iterable of str
+        Owners of rows: connections that hold for some of the time.
+    """
+
+    def __init__(self, timed: Iterable[str] = ()) -> None:
         self.owner = self.robot = ""
+        self.timed = {owner: TimedRows([], []) for owner in timed}
         self.records: dict[str, list[Record]] = {}
         self.constraints: list[Constraint] = []
         self.model: list[int] = []
@@ -185,6 +270,8 @@ class RowBuilder:
 
     def _constrain(self, kind: str, record: Record, row: int, **more: Any) -> None:
         owner = self.owner if kind == CONTACT else self.robot
+        if kind == CONTACT and owner in self.timed:
+            self.timed[owner].constraints.append(len(self.constraints))
         self.constraints.append(Constraint(kind, owner, record.name, row, **more))
 
     def add_contact(self, contact: Contact, parameters: ContactParameters | None) -> None:
@@ -192,7 +279,9 @@ class RowBuilder:
         row = self._add(contact)
         if not of_surroundings(self.owner):
             self.model.append(row)
-        if parameters is None:
+        if parameters is None and self.owner in self.timed:
+            self.timed[self.owner].rows.append(row)
+        elif parameters is None:
             self.bilateral.append(row)
         elif parameters.stiffness > 0.0:
             self.compliant.append((row, parameters, not contact.pushes_only))

@@ -7,9 +7,10 @@ import numpy as np
 from multiarm.contacts.joint import open_frames
 from multiarm.contacts.kernel import open_contact
 from multiarm.contacts.motion import open_body
+from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.kinematics import object_of, write_object_row
-from multiarm.jit.kernels import clear, kernel
+from multiarm.jit.kernels import INTS, NUMBERS, clear, kernel
 from multiarm.jit.vectors import add_rotated
 
 
@@ -56,6 +57,19 @@ def write_wrenches(model, data, forces):
             row, at = (data.rows.W_o[k], 6 * o) if o >= 0 else (data.rows.about_joint, 0)
             for l in range(wrench.size):
                 wrench[l] += row[at + l] * forces[k]
+
+
+@kernel
+def update_wrenches(struct: INTS, forces: NUMBERS):
+    """:func:`write_wrenches` at the kinematics in the data of a struct."""
+    model, data, _ = open_system(struct)
+    write_wrenches(model, data, forces)
+
+
+def wrenches_of(data: Data, forces: np.ndarray) -> np.ndarray:
+    """The wrenches (o, 6) of all owners of rows for forces or impulses (N,) of the rows."""
+    update_wrenches(data.struct, forces)
+    return data.arrays.sample.wrenches.copy()
 
 
 def uncarried_wrench(data: Data) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What guards watch: contacts, their forces and slip, joints and drives.
+"""What guards watch: contacts, their forces and slip, joints and drives, functions of users.
 
 Each kind has a record with what the function of its guards depends on, and the function beside it.
 A guard is its sign times this function, see :mod:`multiarm.dynamics.guards`.  Rows are numbered
@@ -23,6 +23,7 @@ from multiarm.contacts.table import open_code, open_geometry
 from multiarm.dynamics.kinematics import write_connection_motion
 from multiarm.geometry.records import Patch
 from multiarm.jit.kernels import inlined, kernel
+from multiarm.jit.pointers import call_python
 from multiarm.jit.rows import as_row
 from multiarm.jit.structs import Float, Floats1, Floats2, Int, floats1, view_at
 from multiarm.jit.vectors import add_scaled, rotate_back, sub
@@ -269,17 +270,37 @@ def range_depth(guard, model, data):
     return math.nan, math.nan
 
 
+# --- functions of users ---------------------------------------------------------------------------
+
+
+class UserFunction(NamedTuple):
+    """A function of a user, of time and state."""
+
+    function: Int  # address of a function that writes its value
+    value: Floats1  # (1,)
+
+
+user_function_at = view_at(UserFunction)
+
+
+@inlined
+def user_value(guard):
+    """The value of the function at the state evaluated last."""
+    call_python(guard.function)
+    return guard.value[0]
+
+
 # --- all kinds ------------------------------------------------------------------------------------
 
 
 # The records, whose places here are the numbers of their kinds.
 KINDS: tuple[type, ...] = (
     OpenGap, Touch, SpringExtension, SpringCompression, PatchDepth, PushingForce, FrictionCone,
-    StaticFriction, DriveMargin, Slip, SlipOnset, JointSpeed, RangeDepth,
+    StaticFriction, DriveMargin, Slip, SlipOnset, JointSpeed, RangeDepth, UserFunction,
 )  # fmt: skip
 (
     OPEN_GAP, TOUCH, SPRING_EXTENSION, SPRING_COMPRESSION, PATCH_DEPTH, PUSH, FRICTION_CONE,
-    STATIC_FRICTION, DRIVE_MARGIN, SLIP, SLIP_ONSET, JOINT_SPEED, RANGE_DEPTH,
+    STATIC_FRICTION, DRIVE_MARGIN, SLIP, SLIP_ONSET, JOINT_SPEED, RANGE_DEPTH, USER_FUNCTION,
 ) = range(len(KINDS))  # fmt: skip
 
 
@@ -331,6 +352,8 @@ def guard_function(guards, g, struct, data, model, full):
         value = slip(slip_at(records, at), guards.slides, full.rows)
     elif kind == SLIP_ONSET:
         value = slip_onset(onset_at(records, at), full.rows)
+    elif kind == USER_FUNCTION:
+        value = user_value(user_function_at(records, at))
     else:
         value = data.state.joint_rates[joint_speed_at(records, at).joint]
     return value, value, 0.0

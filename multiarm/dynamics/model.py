@@ -8,7 +8,7 @@ models with the closed ones (:meth:`Model.select`).  The variables are in
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -265,9 +265,17 @@ class Model:
         """
         return self if self.unilateral is None else self._with_closed(self.unilateral.model)
 
-    def of_laws(self) -> Model:
-        """The model that control laws see: with all contacts closed, those that grip stick."""
-        return self if self.unilateral is None else self._with_closed(self.unilateral.of_laws)
+    def of_laws(self, holding: Set[int] | None = None) -> Model:
+        """The model that control laws see: with all contacts closed, those that grip stick.
+
+        ``holding``: of the timed joints these only.
+        """
+        if self.unilateral is None:
+            return self
+        rows: Sequence[int] = self.unilateral.of_laws
+        if holding is not None:
+            rows = self.unilateral.rows_held_by(holding, rows)
+        return self._with_closed(rows)
 
     def counting_friction(self) -> Model:
         """The same model for control that counts the friction of contacts that only push."""

@@ -104,6 +104,10 @@ class RowSelection(Data):
         )
         return Room(constants, self.arrays, self.work, self.coupled)
 
+    def forget(self) -> None:
+        """Make anew what was made for some rows: their geometry has changed."""
+        self._selections.cache_clear()
+
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
         selected = np.zeros(self._full.model.layout.contacts, dtype=np.uint8)

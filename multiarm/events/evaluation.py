@@ -40,6 +40,7 @@ from multiarm.errors import SolverError
 from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.event_detection import touching_constraints
 from multiarm.events.modes import Modes
+from multiarm.events.taking_hold import hold_at
 from multiarm.events.transition import Participants, Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
@@ -53,6 +54,9 @@ def evaluate(system: System, t: float = 0.0, state: State | None = None) -> Eval
     ``contact_states`` says what each does, and ``contact_forces`` has all rows, in the order of
     ``system.contacts``, those of open contacts with zeros; ``contact_terms``, motion spaces and
     internal forces are those of all contacts of the joints.
+
+    Joints with times hold at ``t`` as far as times say; one without ``at`` that takes hold within a
+    run holds its bodies where they are.
 
     Parameters
     ----------
@@ -88,6 +92,7 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
 def enter_mode_at(data: Data, t: float, state: State) -> Modes:
     """The modes of a Data, with that of a state entered and evaluated there."""
     modes = modes_of(data, SLOW)
+    hold_at(modes, t, state, modes.unilateral.holding_at(t))
     touching, off_patch, _ = touching_constraints(modes, t, state)
     participants = Participants(touching, off_patch=off_patch)
     forget_forces(modes.guards)

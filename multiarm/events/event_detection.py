@@ -54,6 +54,7 @@ def closed_constraints(modes: Modes, tolerance: float) -> set[int]:
         for u, constraint in enumerate(modes.unilateral.constraints)
         if constraint.kind != DRY_JOINT
         and not constraint.compliant
+        and u not in modes.idle
         and (constraint.bilateral or abs(gaps[constraint.row]) <= tolerance)
     }
 

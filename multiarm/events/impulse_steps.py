@@ -225,6 +225,7 @@ class ImpulseStepper:
             for u, constraint in enumerate(self._constraints)
             if not constraint.compliant
             and u not in apart
+            and u not in self._modes.idle
             and (
                 constraint.kind == DRY_JOINT
                 or constraint.bilateral
@@ -277,4 +278,5 @@ class ImpulseStepper:
         off_patch = involved.off_patch
         above = off_patch.union(self._above, by_impulses.states)
         below = below_patch_constraints(self._modes.full, above)
-        return Mode(tuple(states), held, pulling, off_patch, below, by_impulses.directions)
+        holding, directions = self._modes.holding, by_impulses.directions
+        return Mode(tuple(states), held, pulling, off_patch, below, holding, directions)

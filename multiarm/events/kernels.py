@@ -279,7 +279,7 @@ def write_mode_guards(struct: INTS):
     status = update_rows(rows)
     model, full, _ = open_system(rows)
     write_values(guards_of_mode(data), struct, data, model, full)
-    return status
+    return CALLBACK_FAILED if data.status.failed else status
 
 
 @cfunc

@@ -28,6 +28,8 @@ class Mode:
         friction is the coefficient times minus that force.
     off_patch, below_patch : frozenset of int
         Open constraints off their patch, or below it, see :mod:`multiarm.events.event_detection`.
+    holding : frozenset of int
+        Timed joints that hold.
     directions : mapping
         Unit vectors of the slip of sliding constraints, by their numbers.
     """
@@ -37,6 +39,7 @@ class Mode:
     pulling: frozenset[int] = frozenset()
     off_patch: frozenset[int] = frozenset()
     below_patch: frozenset[int] = frozenset()
+    holding: frozenset[int] = frozenset()
     directions: Mapping[int, np.ndarray] = field(default_factory=dict, compare=False)
 
     def side(self, u: int) -> int:

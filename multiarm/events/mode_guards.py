@@ -6,10 +6,17 @@ that it needs are copied into one table.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Set
+from functools import partial
+from numbers import Real
+
 import numpy as np
 
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
+from multiarm.dynamics.callbacks import UserCallback
 from multiarm.dynamics.contact_geometry import patch_of
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.guard_functions import (
     FrictionCone,
     JointSpeed,
@@ -22,12 +29,15 @@ from multiarm.dynamics.guard_functions import (
     SpringExtension,
     StaticFriction,
     Touch,
+    UserFunction,
 )
 from multiarm.dynamics.guards import FORCES, JOINT_FORCES, SHARED, Guard, Guards, make_guards
-from multiarm.dynamics.model import Model
+from multiarm.errors import ControlError
 from multiarm.events.mode import Mode
 from multiarm.jit.structs import struct_of
 from multiarm.results.contact_states import ContactState
+from multiarm.scene.faults import shown
+from multiarm.scene.joints.times import When
 
 # Thresholds above which a guard that was at zero when the mode began counts as positive: gaps [m],
 # speeds [m/s, rad/s], and parts of the largest forces, those of dry friction of its bound.
@@ -37,6 +47,8 @@ TOUCHING_GAP = 1e-9
 
 # What a guard of a constraint watches, and 1 or -1: its sign, of cones that of the normal force.
 Key = tuple[type, int]
+# A timed joint, and which of its moments.
+MomentNumber = tuple[int, int]
 
 
 class ModeGuards:
@@ -51,8 +63,10 @@ class ModeGuards:
         Room for those of a mode.
     """
 
-    def __init__(self, model: Model, slow: float, directions: np.ndarray) -> None:
+    def __init__(self, data: Data, slow: float, directions: np.ndarray) -> None:
+        model = data.model
         assert model.unilateral is not None, "a system with unilateral contacts"
+        self._unilateral = model.unilateral
         self._constraints = model.unilateral.constraints
         # what a slip that has just come to rest may have left; faster contacts at the bound slip
         still = max(SPEED_THRESHOLD, 0.01 * slow)
@@ -67,12 +81,31 @@ class ModeGuards:
             first = len(self.all)
             self._numbers.append({key: first + k for k, key in enumerate(of_constraint)})
             self.all += [guard._replace(constraint=u) for guard in of_constraint.values()]
+        self.of_moments = self._guards_of_moments(data)
         rows, slides = [-1] * model.layout.contacts, [-1] * len(self._constraints)
         of_all = make_guards(self.all, rows, slides)
         shared = {name: getattr(of_all, name) for name in SHARED}
         self.table = Guards(*(column.copy() for column in of_all))._replace(**shared)
         self._of_all = of_all
         self.struct = struct_of(of_all)
+
+    def _guards_of_moments(self, data: Data) -> dict[MomentNumber, int]:
+        """Guards of the functions that begin and end the times of joints, by the moments."""
+        numbers: dict[MomentNumber, int] = {}
+        for k, joint in enumerate(self._unilateral.timed):
+            for place, when in enumerate(joint.moments):
+                if isinstance(when, When):
+                    value, function = np.zeros(1), when.when
+                    name = f"'when' of joint '{joint.connection}'"
+                    callback = UserCallback(
+                        function, name, partial(_number, name), value, data.model.layout,
+                        data.arrays, function,
+                    )  # fmt: skip
+                    data.callbacks[f"{name}, {place}"] = callback
+                    data.shared.calls.add(callback)
+                    numbers[k, place] = len(self.all)
+                    self.all.append(Guard(UserFunction(callback.address, value)))
+        return numbers
 
     def place(self, rows: np.ndarray, sliding: list[int]) -> np.ndarray:
         """Write which rows are held and which constraints slide; returns the place of each row."""
@@ -89,16 +122,25 @@ class ModeGuards:
             **{name: column[:count] for name, column in columns.items() if name not in SHARED}
         )
 
-    def numbers(self, mode: Mode, rows: np.ndarray, sliding: list[int]) -> np.ndarray:
-        """Numbers of the guards of a mode with these held rows and sliding constraints."""
+    def numbers(
+        self, mode: Mode, rows: np.ndarray, sliding: list[int], awaited: Set[MomentNumber]
+    ) -> np.ndarray:
+        """Numbers of the guards of a mode with these held rows and sliding constraints.
+
+        Those of the ``awaited`` moments that functions tell are last.
+        """
         held, numbers = np.isin(np.arange(self.table.held.size), rows).tolist(), []
+        idle = self._unilateral.idle_without(mode.holding)
         for u, (constraint, number) in enumerate(
             zip(self._constraints, self._numbers, strict=True)
         ):
+            if u in idle:
+                continue
             keys = _keys(u, constraint, mode, held, u in sliding)
             if (PatchDepth, 1) in number:
                 keys = _keys_at_edge(u, mode, keys)
             numbers += [number[key] for key in keys]
+        numbers += [guard for moment, guard in self.of_moments.items() if moment in awaited]
         return np.array(numbers, dtype=np.int64)
 
 
@@ -180,3 +222,10 @@ def _keys_at_edge(u: int, mode: Mode, keys: list[Key]) -> list[Key]:
     if u in mode.below_patch:
         return [(PatchDepth, 1), (SpringCompression, 1)]
     return [*keys, (PatchDepth, 1)]
+
+
+def _number(name: str, value: object) -> np.ndarray:
+    """The value of a function that tells a moment, (1,)."""
+    if isinstance(value, Real) and math.isfinite(value):
+        return np.array([float(value)])
+    raise ControlError(f"{name} must return a finite number, it returned {shown(value)}")

@@ -7,7 +7,7 @@ and the arrays are written anew; nothing is made that stays.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginning
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
+from multiarm.events.joint_places import place_joint, with_own_places
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -35,7 +36,7 @@ from multiarm.events.kernels import (
     write_guards,
 )
 from multiarm.events.mode import Mode
-from multiarm.events.mode_guards import ModeGuards
+from multiarm.events.mode_guards import ModeGuards, MomentNumber
 from multiarm.integration.step import watch_stage
 from multiarm.jit.pointers import PythonCallback, address_of
 from multiarm.results.contact_states import ContactState
@@ -55,10 +56,12 @@ class Modes:
         With all rows: gaps, rates and directions of those that are not held, too.
     closed : Data
         With all contacts of the joints closed.
-    of_laws : Data
-        The same for control laws, where these count friction with tangents.
-    bilateral : Data
-        With the rows that are always held: how the bodies respond to forces in the others.
+    holding : frozenset of int
+        Timed joints that hold.
+    idle : frozenset of int
+        Constraints of those that do not.
+    awaited : frozenset of (int, int)
+        Moments of timed joints that are awaited; those that functions tell have guards.
     data : RowSelection
         With the held rows of the mode.
     mode : Mode
@@ -76,9 +79,14 @@ class Modes:
     def __init__(self, full: Data, slow: float):
         unilateral = full.model.unilateral
         assert unilateral is not None, "a system with unilateral contacts"
+        self._written = full.model
+        if any(joint.located for joint in unilateral.timed):
+            full = with_own_places(full)
         self.full, self.unilateral, self.slow = full, unilateral, slow
-        self.closed, self.of_laws = full.closed, full.of_laws
-        self.bilateral = self._always(unilateral.bilateral)
+        self.closed = full.closed
+        self.holding: frozenset[int] = frozenset()
+        self.idle = unilateral.idle_without(self.holding)
+        self._fixed = {self.holding: FixedRows(full, self.holding)}
         self._structs = ModeStructs(active=True)
         self._structs.refer(of_laws=self.of_laws.reference, full=full.reference)
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
@@ -102,7 +110,8 @@ class Modes:
         kinds = [constraint.kind for constraint in unilateral.constraints]
         self._contacts = np.array([kind == CONTACT for kind in kinds], dtype=bool)
         self._slides, self._of_slides = self._room_for_slides()
-        self._guards = ModeGuards(full.model, slow, self._slides.direction)
+        self._guards = ModeGuards(full, slow, self._slides.direction)
+        self.awaited: frozenset[MomentNumber] = frozenset()
         self._struct = make_mode_struct(
             self._guards.table, self._slides, self.arrays, self._reactions
         )
@@ -116,24 +125,61 @@ class Modes:
             ContactState.FORWARD if kind == DRY_JOINT else ContactState.OPEN for kind in kinds
         ]
         self._tables = lru_cache(MOST_RECENT)(partial(_tables, unilateral, self._guards))
-        self.mode = Mode(tuple(everything_open), ())
+        self.mode = Mode(tuple(everything_open), (), holding=self.holding)
+        self._stale = False
         self._select(self.mode)
         # another run may have left friction and active springs
         set_constraint_forces(full, (ContactState.OPEN,) * len(unilateral.constraints))
 
-    @cached_property
+    # --- timed joints -----------------------------------------------------------------------------
+
+    @property
+    def of_laws(self) -> Data:
+        """With all contacts closed of the joints that hold, and tangents where laws count them."""
+        return self._fixed[self.holding].of_laws
+
+    @property
+    def bilateral(self) -> Data:
+        """With the rows that are always held: how the bodies respond to forces in the others."""
+        return self._fixed[self.holding].bilateral
+
+    @property
     def unconstrained(self) -> Data:
         """Without any row: how the bodies respond where redundant rows share their forces."""
-        return self._always(())
+        return self._fixed[self.holding].unconstrained
 
-    def _always(self, rows: Sequence[int]) -> Data:
-        """Data with fixed rows, in which control and effects act as in all modes."""
-        data = self.full.view(replace(self.full.model.select(rows), unilateral=None))
-        modes = ModeStructs(active=True)
-        modes.refer(of_laws=self.of_laws.reference)
-        data.replace_arrays(modes=modes)
-        data.of_laws = self.of_laws
-        return data
+    @property
+    def bilateral_rows(self) -> tuple[int, ...]:
+        """The rows that are held whatever contacts do."""
+        return self.unilateral.bilateral_with(self.holding)
+
+    def moments_of(self, guards: Iterable[int]) -> list[MomentNumber]:
+        """The moments that some of the mode's guards watch."""
+        numbers = {self._watched[g] for g in guards}
+        return [moment for moment, g in self._guards.of_moments.items() if g in numbers]
+
+    def hold(self, holding: frozenset[int], awaited: frozenset[MomentNumber] = frozenset()) -> None:
+        """Let these timed joints hold, and no others, in modes that are entered from now on."""
+        self._stale |= (holding, awaited) != (self.holding, self.awaited)
+        self.awaited = awaited
+        if holding not in self._fixed:
+            self._fixed[holding] = FixedRows(self.full, holding)
+        self.holding, self.idle = holding, self.unilateral.idle_without(holding)
+        self._structs.refer(of_laws=self.of_laws.reference)
+        self.data.of_laws = self.of_laws
+
+    def place(self, timed: int, as_written: bool = False) -> None:
+        """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
+
+        Only joints that are ``located``, and do not hold yet, are placed.
+        """
+        self._stale = True
+        place_joint(self.full, self._written, self.unilateral.timed[timed], as_written)
+        self._fixed = {k: rows for k, rows in self._fixed.items() if timed not in k}
+        self.closed = self.full.view(self.full.model.with_contacts_closed())
+        for selection in (self.data, self.data.tangents):
+            if selection is not None:
+                selection.forget()
 
     # --- the mode that has been entered -----------------------------------------------------------
 
@@ -144,7 +190,9 @@ class Modes:
 
     @property
     def _violated(self) -> np.ndarray:
-        return ~(self.guards.value >= -self.guards.level)
+        violated = ~(self.guards.value >= -self.guards.level)
+        violated[[guard.constraint < 0 for guard in self.watched]] = False  # moments that come now
+        return violated
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -164,8 +212,10 @@ class Modes:
 
     def enter(self, mode: Mode) -> None:
         """Enter a mode at its beginning."""
-        if mode != self.mode:
+        assert mode.holding == self.holding, "joints take hold before"
+        if mode != self.mode or self._stale:
             self._select(mode)
+        self._stale = False
         self.mode = mode
         for s, u in enumerate(self._sliding_constraints):
             self.slides.direction[s] = mode.directions[u]
@@ -177,7 +227,7 @@ class Modes:
     def _select(self, mode: Mode) -> None:
         """Select the rows of a mode, and write its sliding contacts and guards."""
         struct = self._struct
-        rows, sliding, guards = self._tables(mode)
+        rows, sliding, guards = self._tables(mode, self.awaited)
         self._sliding_constraints = sliding
         if self.data.tangents is not None:
             first = self._of_slides.tangent_of_all[sliding]
@@ -192,7 +242,8 @@ class Modes:
         numbers_of_all, *columns = self._slides
         self.slides = Slides(numbers_of_all, *(column[: len(sliding)] for column in columns))
         self.guards = self._guards.first(guards.size)
-        self.watched = [self._guards.all[k] for k in guards.tolist()]
+        self._watched = guards.tolist()
+        self.watched = [self._guards.all[k] for k in self._watched]
         self._choose_solver(sliding)
 
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
@@ -260,6 +311,44 @@ class Modes:
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all
 
 
+class FixedRows:
+    """Data with fixed rows, in which control and effects act as in all modes, for some joints.
+
+    Parameters
+    ----------
+    full : Data
+        With all rows.
+    holding : frozenset of int
+        Timed joints that hold.
+
+    Attributes
+    ----------
+    of_laws, bilateral : Data
+        See :class:`Modes`.
+    """
+
+    def __init__(self, full: Data, holding: frozenset[int]) -> None:
+        unilateral = full.model.unilateral
+        assert unilateral is not None, "a system with unilateral contacts"
+        self._full, self.of_laws = full, full.of_laws
+        if len(holding) < len(unilateral.timed):
+            self.of_laws = full.view(full.model.of_laws(holding))
+        self.bilateral = self._with_rows(unilateral.bilateral_with(holding))
+
+    @cached_property
+    def unconstrained(self) -> Data:
+        """Without any row."""
+        return self._with_rows(())
+
+    def _with_rows(self, rows: Sequence[int]) -> Data:
+        data = self._full.view(replace(self._full.model.select(rows), unilateral=None))
+        modes = ModeStructs(active=True)
+        modes.refer(of_laws=self.of_laws.reference)
+        data.replace_arrays(modes=modes)
+        data.of_laws = self.of_laws
+        return data
+
+
 class _Tables(NamedTuple):
     """What a mode selects: its held rows, sliding constraints and guards, by their numbers."""
 
@@ -268,10 +357,15 @@ class _Tables(NamedTuple):
     guards: np.ndarray
 
 
-def _tables(unilateral: UnilateralConstraints, guards: ModeGuards, mode: Mode) -> _Tables:
-    rows = np.array(sorted([*unilateral.bilateral, *mode.rows]), dtype=np.int64)
+def _tables(
+    unilateral: UnilateralConstraints,
+    guards: ModeGuards,
+    mode: Mode,
+    awaited: frozenset[MomentNumber],
+) -> _Tables:
+    rows = np.array(sorted([*unilateral.bilateral_with(mode.holding), *mode.rows]), dtype=np.int64)
     sliding = mode.sliding(unilateral.constraints)
-    return _Tables(rows, sliding, guards.numbers(mode, rows, sliding))
+    return _Tables(rows, sliding, guards.numbers(mode, rows, sliding, awaited))
 
 
 def _reactions(full: Data, data: Data) -> ReactionWork:

@@ -135,12 +135,15 @@ class Participants:
     off_patch : frozenset of int
         Those beyond the edge of their patch, see
         :func:`~multiarm.events.event_detection.off_patch_constraints`.
+    elastic : bool
+        Contacts rebound from an impact.  They do not where a joint takes hold: they were at rest.
     """
 
     touching: Set[int]
     at_rest: Mapping[int, float] = field(default_factory=dict)
     unloaded: Set[int] = frozenset()
     off_patch: frozenset[int] = frozenset()
+    elastic: bool = True
 
 
 @dataclass(frozen=True)
@@ -194,9 +197,9 @@ class Transition:
         self._rows = RowDynamics(modes)
         touching, self._off_patch = participants.touching, participants.off_patch
         self._pressed = {u for u in touching if self._constraints[u].compliant}
-        self._touching = sorted(touching - self._pressed - self._off_patch)
+        self._touching = sorted(touching - self._pressed - self._off_patch - modes.idle)
         self._rest_height, self._at_rest = rest_height, participants.at_rest
-        self._unloaded = participants.unloaded
+        self._unloaded, self._elastic = participants.unloaded, participants.elastic
         self._residual = 0.0
 
     def decide(self, with_impacts: bool = True) -> Decision:
@@ -227,7 +230,7 @@ class Transition:
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bilateral)
         before = rates[rows]
-        elastic = {u: constraints[u].restitution for u in hit}
+        elastic = {u: constraints[u].restitution for u in hit if self._elastic}
         solution, after = self._collide(involved, rows, response, before, elastic, set())
         rested: set[int] = set()
         while low := self._too_low(involved, rows, before, after) - rested:
@@ -342,7 +345,7 @@ class Transition:
         for u, state in by_forces.states.items():
             states[u] = state
         held = tuple(sorted(problem.rows[k] for k in by_forces.held))
-        every = [*problem.rows, *self._modes.unilateral.bilateral]
+        every = [*problem.rows, *self._modes.bilateral_rows]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         return self._mode(states, held, pulling, by_forces.directions), forces
 
@@ -363,6 +366,8 @@ class Transition:
                 states[u] = ContactState.FORWARD if forward else ContactState.BACKWARD
             elif constraint.compliant:
                 states[u] = ContactState.TOUCHING if u in self._pressed else ContactState.OPEN
+            elif u in self._modes.idle:
+                continue
             elif constraint.bilateral or (u in self._touching and rates[constraint.row] <= rest):
                 involved.append(u)
                 slip = rates[list(constraint.tangents)]
@@ -380,7 +385,8 @@ class Transition:
     ) -> Mode:
         above = self._off_patch.union(self._touching)
         below = below_patch_constraints(self._modes.full, above)
-        return Mode(tuple(states), held, pulling, self._off_patch, below, directions)
+        holding = self._modes.holding
+        return Mode(tuple(states), held, pulling, self._off_patch, below, holding, directions)
 
     def _directions_without_slip(self, involved: list[int]) -> set[int]:
         """Tangents of bilateral contacts along which the normals of all of them allow no slip.
@@ -390,7 +396,8 @@ class Transition:
         bilateral = [u for u in involved if self._constraints[u].bilateral]
         if not bilateral:
             return set()
-        normals = [constraint.row for constraint in self._constraints if constraint.bilateral]
+        idle = self._modes.idle
+        normals = [c.row for u, c in enumerate(self._constraints) if c.bilateral and u not in idle]
         tangents = [t for u in bilateral for t in self._constraints[u].tangents]
         jacobian = self._rows.jacobian([*normals, *tangents])
         response, _ = self._rows.response(jacobian, self._modes.bilateral)
@@ -418,7 +425,7 @@ class Transition:
         jacobian = self._rows.jacobian(rows)
         free = self._free(rows)
         response, _ = self._rows.response(jacobian, self._modes.bilateral)
-        bilateral = self._modes.unilateral.bilateral
+        bilateral = self._modes.bilateral_rows
         if bilateral and depends_on_held_rows(response, jacobian):
             every, unconstrained = [*rows, *bilateral], self._modes.unconstrained
             laws += [Bounded(len(rows) + k, -np.inf, np.inf) for k in range(len(bilateral))]

@@ -69,6 +69,12 @@ class EventKind(Enum):
         MADE,
         "a contact point has returned to its patch",
     )
+    ATTACHED = (
+        "attached",
+        MADE,
+        "a joint takes hold: an impact without restitution, if its bodies moved against each other",
+    )
+    DETACHED = "detached", LOST, "a joint lets go"
     LETS_GO = "lets go", LOST, "a contact opens"
     PULLS = (
         "pulls",

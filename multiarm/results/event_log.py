@@ -3,7 +3,9 @@
 An event of `Trajectory.events` is a dict with ``time`` [s], ``kind``, ``text`` (and ``what``, the
 text without arm, contact and joint), and, where they apply, ``arm`` ("floor" for the object's own
 contacts), ``contact`` or ``joint``, ``where`` (world [m]), ``before`` and ``after``: named numbers
-whose unit ends the name, as in ``gap_rate_m_s``, or words.
+whose unit ends the name, as in ``gap_rate_m_s``, or words.  Where a joint takes hold or lets go,
+``arm`` is its name, ``impulse`` (6,) what it exerts on its second body, as ``wrenches`` has forces
+[N s, N m s], and ``energy_loss`` the energy lost by it [J].
 
 A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
 by kind, so that neither a result nor its message grows with them. Figures and replays show a
@@ -89,6 +91,10 @@ class RunEvent:
         Before and after.
     turns : bool
         The joint turns.
+    impulse : tuple of 6 floats or None
+        Of a joint that takes hold or lets go, on its second body, as its wrench [N s, N m s].
+    energy_loss : float or None
+        By it [J].
     """
 
     time: float
@@ -101,6 +107,8 @@ class RunEvent:
     where: tuple[float, ...] | None = None
     sides: tuple[Side, Side] | None = None
     turns: bool = False
+    impulse: tuple[float, ...] | None = None
+    energy_loss: float | None = None
 
     @property
     def who(self) -> str:
@@ -135,7 +143,9 @@ class RunEvent:
         names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
         before, after = (None, None) if self.sides is None else map(self._entry_of, self.sides)
         where = None if self.where is None else list(self.where)
-        optional = {"before": before, "after": after, "where": where}
+        impulse = None if self.impulse is None else list(self.impulse)
+        optional: dict[str, Any] = {"before": before, "after": after, "where": where}
+        optional |= {"impulse": impulse, "energy_loss": self.energy_loss}
         return {
             "time": self.time,
             "kind": self.kind.word,

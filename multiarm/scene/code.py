@@ -96,7 +96,8 @@ def function_text(function: Callable | str) -> str:
 _REFERENCE = r"[^:\s][^\n]*:[^:\s][^:\n]*"
 
 
-def _function(value: Any) -> Any:
+def user_function(value: Any) -> Any:
+    """A function, or the reference that names one; else a fault."""
     if callable(value):
         return value
     if isinstance(value, str) and is_reference(value):
@@ -109,7 +110,7 @@ def _function(value: Any) -> Any:
 
 UserFunction = Annotated[
     Any,
-    BeforeValidator(_function),
+    BeforeValidator(user_function),
     PlainSerializer(function_text, return_type=str),
     WithJsonSchema({"type": "string", "pattern": f"^{_REFERENCE}$"}),
 ]

@@ -38,6 +38,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
+from multiarm.events.taking_hold import hold_at, require_reach, take_hold
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -55,6 +56,7 @@ from multiarm.simulation.impulse_phase import (
     pause_of,
     point_of,
 )
+from multiarm.simulation.joint_schedule import JointSchedule
 from multiarm.simulation.setup import Run, Tolerance
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
@@ -114,6 +116,7 @@ class EventHandler:
         self._pending: Pending | None = None
         self._last_length = self._usual_length = 0.0
         self._times: deque[float] = deque(maxlen=ACCUMULATED)
+        self._schedule = JointSchedule(self.modes.unilateral, 0.0)
         self._phase: ImpulsePhase | None = None
         self._phase_end, self._phase_length = -np.inf, np.inf  # of the last one, and its steps
 
@@ -124,6 +127,8 @@ class EventHandler:
 
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
+        self._schedule = schedule = JointSchedule(self.modes.unilateral, time)
+        hold_at(self.modes, time, start, schedule.holding, schedule.awaited)
         touching, off_patch, self._size = touching_constraints(self.modes, time, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
@@ -166,10 +171,14 @@ class EventHandler:
         Returns why the run cannot go on past it, with the remedy; empty where it goes on.
         """
         try:
+            if self._phase is not None and self._schedule.joints_due(run.clock.t):
+                self._end_phase(run, self._phase)
             if self._phase is not None:
                 self._load(run)
                 return self._make_impulse_steps(run, self._phase)
-            return self.cross(run) if stopped else self.locate(run)
+            if not stopped:
+                return self.locate(run)
+            return self.cross(run) if self._pending else self._switch(run)
         except MultiarmError as error:
             return str(error)
 
@@ -193,15 +202,20 @@ class EventHandler:
         run.clock.stop = time
         return ""
 
-    def forget_pending(self) -> None:
+    def forget_pending(self, run: Run) -> None:
         """Forget the event that was located: the run does not come to it."""
         self._pending, self._phase, self.modes.numbers.muted = None, None, False
+        self._stop_at_switch(run)
 
     def cross(self, run: Run) -> str:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
         assert self._pending is not None, "the run stops at an event"
         pending, self._pending = self._pending, None
-        t, before = run.clock.t, self.modes.mode
+        before = self.modes.mode
+        come = [k for k, _ in self.modes.moments_of(pending.guards)]
+        self._schedule.due.update(come)
+        if len(come) == len(pending.guards):
+            return self._switch(run)
         self._load(run)
         fired = [self.modes.watched[g] for g in pending.guards]
         participants = Participants(
@@ -210,9 +224,15 @@ class EventHandler:
             _constraints(fired, PushingForce),
             off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
+        return self._go_on(run, participants, before)
+
+    def _go_on(self, run: Run, participants: Participants, before: Mode) -> str:
+        """Decide the next mode at the state in the data; returns why the run must end."""
+        t = run.clock.t
         decision = self._decide(t, participants)
         self._add_impact(run, decision)
-        decision, holds = enter_consistent_mode(self.modes, decision, ended=before)
+        ended = before if before.holding == self.modes.holding else None
+        decision, holds = enter_consistent_mode(self.modes, decision, ended)
         if holds and not self._accumulate(t):
             self._log_decision(t, decision, before)
             self._continue(run)
@@ -231,11 +251,64 @@ class EventHandler:
         self._phase = ImpulsePhase(stepper, length, before, t)
         return self._make_impulse_steps(run, self._phase)
 
+    # --- timed joints -----------------------------------------------------------------------------
+
+    def command(self, run: Run, joint: int) -> str:
+        """Let a timed joint that holds let go, and one that does not take hold.
+
+        Returns why the run cannot go on then; empty where it can.
+        """
+        self._schedule.due.add(joint)
+        try:
+            return self._switch(run)
+        except MultiarmError as error:
+            return str(error)
+
+    def _switch(self, run: Run) -> str:
+        """Let the joints whose moment has come take hold, or let go."""
+        modes, t, before = self.modes, run.clock.t, self.modes.mode
+        due = self._schedule.joints_due(t)
+        for k in due:
+            self._schedule.pass_moment(k, t)
+        self._last_length = run.clock.h
+        self._load(run)
+        holding = self._schedule.holding
+        taking, letting = holding - modes.holding, modes.holding - holding
+        for k in sorted(taking):
+            require_reach(modes, k)
+            if modes.unilateral.timed[k].located:
+                modes.place(k)
+        modes.hold(holding, self._schedule.awaited)
+        self._load(run)
+        if taking:
+            grip = take_hold(modes, taking)
+            self._add_work(run, -grip.energy_lost)
+            losses = [grip.energy_lost, *[0.0] * len(taking)]  # that of all together
+            for k, lost in zip(sorted(taking), losses, strict=False):
+                self._log_switch(t, EventKind.ATTACHED, k, grip.impulses[k], lost)
+        for k in sorted(letting):
+            self._log_switch(t, EventKind.DETACHED, k, np.zeros(6), 0.0)
+        off_patch = off_patch_constraints(modes, before, set())
+        participants = Participants(self._touching([]), off_patch=off_patch, elastic=False)
+        return self._go_on(run, participants, before)
+
+    def _log_switch(
+        self, t: float, kind: EventKind, joint: int, impulse: np.ndarray, lost: float
+    ) -> None:
+        self.count += 1
+        name = self.modes.unilateral.timed[joint].connection
+        event = RunEvent(t, kind, arm=name, impulse=tuple(impulse.tolist()), energy_loss=lost)
+        self._log.add(event)
+
+    def _stop_at_switch(self, run: Run) -> None:
+        """Let the loop stop where the next joint is switched."""
+        run.clock.stop = min(run.clock.stop, self._schedule.next_time(run.clock.t))
+
     # --- impulse steps ----------------------------------------------------------------------------
 
     def _make_impulse_steps(self, run: Run, phase: ImpulsePhase) -> str:
         """Go on in impulse steps until a mode holds, or the loop has something to do."""
-        until, begin = pause_of(run), run.clock.t
+        until, begin = min(pause_of(run), self._schedule.next_time(run.clock.t)), run.clock.t
         for _ in range(IMPULSE_STEPS if until > begin else 0):
             start = point_of(run.data, run.clock.t, self._works(run))
             step = phase.step(run, start, until)
@@ -350,10 +423,14 @@ class EventHandler:
 
     def _add_impact(self, run: Run, decision: Decision) -> None:
         """Count the energy of an impact among the works."""
-        if decision.energy:
+        self._add_work(run, decision.energy)
+
+    def _add_work(self, run: Run, energy: float) -> None:
+        """Count energy [J] among the works of impacts."""
+        if energy:
             works = self._works(run)
-            works[run.data.model.effects.slot("impacts")] += decision.energy
-            works[-1] += decision.energy
+            works[run.data.model.effects.slot("impacts")] += energy
+            works[-1] += energy
 
     def _continue(self, run: Run) -> None:
         """Continue the run in the new mode, from the state in its data."""
@@ -382,11 +459,20 @@ class EventHandler:
         """Start the guards at the state in the data, which has been evaluated."""
         require_ok(run.data, start_guards(run.data.struct))
         run.solver_log.reset(run.data)
+        passed = np.flatnonzero(~(self.modes.guards.value > 0.0)).tolist()
+        self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
+        self._stop_at_switch(run)
 
     def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
         events = decision_events(self.modes, t, decision, before)
         self.count += len(events)
         self._log.add(*events)
+        was = before.states or (ContactState.OPEN,) * len(decision.mode.states)
+        self._schedule.touched(
+            u
+            for u, now in enumerate(decision.mode.states)
+            if was[u] == ContactState.OPEN != now or u in {hit.constraint for hit in decision.hits}
+        )
 
     def _accumulate(self, t: float) -> bool:
         """Count an event; whether the last ones came so fast that they would not end."""

@@ -312,7 +312,7 @@ class Stepper:
         run, events = self._run, self._driver.events
         run.clock.begin_after_failure()
         if events is not None:
-            events.forget_pending()
+            events.forget_pending(run)
         run.data.forgive()
         if ending.end is End.INTERRUPTED:
             raise KeyboardInterrupt

@@ -34,6 +34,7 @@ from multiarm.scene.bodies import (
     tip_named,
 )
 from multiarm.scene.faults import invalid, shown
+from multiarm.scene.joints.times import Begin, Interval, Moment, fault_of_times, intervals
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
 from multiarm.scene.values import Direction, NonNegative, Pose, Positive, Range, list_of
@@ -104,6 +105,16 @@ class Joint(UserKind):
         Coulomb's coefficient of friction of its contacts, where they have none of their own and do
         not roll.  It counts before that of ``effects.contact_friction``.  Friction follows from the
         forces of each contact, and so from how far they are spread.
+    from : time, 'never', event or list of pairs, optional
+        When it begins to hold: a time [s]; {when: 'file.py:name'}, when the function f(t, state)
+        of the motion has fallen to zero; {touching: 'joint/contact'}, when a contact closes;
+        'never': by command only.  Or several times, as a list of pairs [from, until].  Without 'at'
+        its frame on the second body is then where that on the first is.
+    until : time, 'never' or event, optional
+        When it lets go, written as 'from' is.
+    speed_limit : float, optional
+        A run ends where the joint would take hold of bodies that move faster against each other
+        [m/s] at its frame.  Absent: at any speed.
     picture : str
         An everyday example, for ``multiarm joints``.
     example : str
@@ -141,6 +152,10 @@ class Joint(UserKind):
     at_first: Pose | None = None
     at_tip: Pose = Pose()
     mu: NonNegative | None = None
+    __annotations__["from"] = Begin | None  # a word of Python, which no field can be written as
+    vars()["from"] = None
+    until: Moment | None = None
+    speed_limit: Positive | None = None
     kind: str
 
     _objects: tuple[str, ...] = PrivateAttr((OBJECT_NAME,))
@@ -157,6 +172,21 @@ class Joint(UserKind):
         if self.at_first is not None and "at_tip" in self.model_fields_set:
             raise invalid("gives both 'at_first' and 'at_tip', which are the same; keep one")
         return self
+
+    @model_validator(mode="after")
+    def _times_fit_together(self) -> Self:
+        if fault := fault_of_times(getattr(self, "from"), self.until):
+            raise invalid(f"'until': {fault}")
+        if self.speed_limit is not None and not self.intervals:
+            raise invalid(
+                "'speed_limit' is of a joint that takes hold within a run; write 'from' too"
+            )
+        return self
+
+    @property
+    def intervals(self) -> tuple[Interval, ...]:
+        """When it holds, in order; empty: all the time."""
+        return intervals(getattr(self, "from"), self.until)
 
     @property
     def first(self) -> BodyName:

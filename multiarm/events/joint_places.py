@@ -1,0 +1,85 @@
+"""Where joints are on their bodies that take hold of them wherever these are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiarm.contacts.motion import BodyMotion
+from multiarm.contacts.table import ContactTable, copy_geometry, pack
+from multiarm.contacts.unilateral import TimedJoint
+from multiarm.dynamics.data import Data
+from multiarm.dynamics.model import Model
+from multiarm.geometry.records import Contact
+from multiarm.jit.rows import fields_of
+
+
+class FrameMotion(NamedTuple):
+    """A joint's frame on one of its bodies, in world axes."""
+
+    rotation: np.ndarray  # (3, 3)
+    origin: np.ndarray  # (3,) [m]
+    velocity: np.ndarray  # (3,) of the origin [m/s]
+
+
+def with_own_places(full: Data) -> Data:
+    """A view of a Data in which joints can be placed elsewhere."""
+    constants = full.model.constants
+    own = full.view(
+        full.model.with_constants(
+            contacts=ContactTable(*(array.copy() for array in constants.contacts)),
+            joint_frames=constants.joint_frames.copy(),
+        )
+    )
+    own.replace_arrays(sample=full.arrays.sample)
+    return own
+
+
+def frame_motions(data: Data, model: Model, connection: str) -> tuple[FrameMotion, FrameMotion]:
+    """The frames of a joint on both bodies, at the kinematics in the data."""
+    bodies, frames = (
+        fields_of(BodyMotion, data.arrays.bodies.motion),
+        model.frames_on_bodies(connection),
+    )
+    first, second = model.bodies_of(connection)
+
+    def motion(body: int, rotation: np.ndarray, origin: np.ndarray) -> FrameMotion:
+        R, lever = bodies.rotation[body], bodies.rotation[body] @ origin
+        velocity = bodies.velocity[body] + np.cross(bodies.spin[body], lever)
+        return FrameMotion(R @ rotation, bodies.origin[body] + lever, velocity)
+
+    return (
+        motion(first, frames.on_link, frames.origin_on_link),
+        motion(second, frames.on_object, frames.origin_on_object),
+    )
+
+
+def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool) -> None:
+    """Move a joint on its second body to where it is on the first, at the kinematics in the data.
+
+    ``written`` is the model as the scene has it, where the joint returns to if it is
+    ``as_written``; that of ``data`` has own places.
+    """
+    connection, bodies = joint.connection, fields_of(BodyMotion, data.arrays.bodies.motion)
+    on_first, _ = frame_motions(data, written, connection)
+    before, second = written.frames_on_bodies(connection), written.bodies_of(connection)[1]
+    R = bodies.rotation[second]
+    rotation = R.T @ on_first.rotation @ joint.offset[:3, :3]
+    origin = on_first.origin + on_first.rotation @ joint.offset[:3, 3] - bodies.origin[second]
+    now = data.model.frames_on_bodies(connection)
+    now.on_object[:], now.origin_on_object[:] = rotation, R.T @ origin
+    if as_written:
+        now.on_object[:], now.origin_on_object[:] = before.on_object, before.origin_on_object
+    turn = now.on_object @ before.on_object.T
+    shift = now.origin_on_object - turn @ before.origin_on_object
+    rows = written.layout.contacts_of(written.layout.owners.index(connection))
+    records = {
+        row: record
+        for row, record in enumerate(written.records[rows], start=rows.start)
+        if isinstance(record, Contact)
+    }
+    moved = [record.moved_on_bodies(None, (turn, shift)) for record in records.values()]
+    packed = pack(moved).table
+    for k, row in enumerate(records):
+        copy_geometry(packed, k, data.model.constants.contacts, row)

@@ -1,0 +1,97 @@
+"""The schedule of a run's timed joints: which hold, and which moments are awaited."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from multiarm.contacts.unilateral import UnilateralConstraints
+from multiarm.events.mode_guards import MomentNumber
+from multiarm.scene.joints.times import Moment, Touching, When
+
+
+class JointSchedule:
+    """Goes through the moments of all timed joints, each its own, one after the other.
+
+    A command (:meth:`pass_moment`) acts as if the next moment of a joint had come.
+
+    Parameters
+    ----------
+    unilateral : UnilateralConstraints
+    begin : float
+        Of the run [s].
+
+    Attributes
+    ----------
+    due : set of int
+        Joints whose moment has come by an event, and that have not been switched yet.
+    """
+
+    def __init__(self, unilateral: UnilateralConstraints, begin: float) -> None:
+        self._joints, self._constraints = unilateral.timed, unilateral.constraints
+        self._moments = [joint.moments for joint in self._joints]
+        self._passed = [0 for _ in self._joints]  # moments of each joint
+        self.due: set[int] = set()
+        for k in range(len(self._joints)):
+            while self._next(k) <= begin:
+                self._passed[k] += 1
+            self._skip(k, begin)
+
+    @property
+    def holding(self) -> frozenset[int]:
+        """Numbers of the joints that hold."""
+        return frozenset(k for k, passed in enumerate(self._passed) if passed % 2)
+
+    @property
+    def awaited(self) -> frozenset[MomentNumber]:
+        """The next moments of all joints that functions tell."""
+        return frozenset(
+            (k, passed)
+            for k, passed in enumerate(self._passed)
+            if isinstance(self._moment(k), When)
+        )
+
+    def next_time(self, t: float) -> float:
+        """When the next joint is to be switched [s]: now, where one is due."""
+        if self.due:
+            return t
+        return min((self._next(k) for k in range(len(self._joints))), default=math.inf)
+
+    def joints_due(self, t: float) -> list[int]:
+        """The joints to be switched at a time [s]."""
+        return [k for k in range(len(self._joints)) if k in self.due or self._next(k) <= t]
+
+    def pass_moment(self, k: int, t: float) -> None:
+        """Let a joint that holds let go, and one that does not take hold, at a time [s]."""
+        self.due.discard(k)
+        self._passed[k] += 1
+        self._skip(k, t)
+
+    def touched(self, closed: Iterable[int]) -> None:
+        """Let the moments come that wait for one of these constraints to close."""
+        names = set()
+        for u in closed:
+            contact = self._constraints[u]
+            names |= {contact.owner, f"{contact.owner}/{contact.name}"}
+        for k in range(len(self._joints)):
+            moment = self._moment(k)
+            if isinstance(moment, Touching) and moment.touching in names:
+                self.due.add(k)
+
+    def _moment(self, k: int) -> Moment:
+        moments, passed = self._moments[k], self._passed[k]
+        return moments[passed] if passed < len(moments) else math.inf
+
+    def _next(self, k: int) -> float:
+        moment = self._moment(k)
+        return moment if isinstance(moment, float) else math.inf
+
+    def _skip(self, k: int, t: float) -> None:
+        """Pass over intervals that have ended before their beginning came."""
+        moments, passed = self._moments[k], self._passed[k]
+        while passed % 2 == 0 and passed + 1 < len(moments):
+            end = moments[passed + 1]
+            if not (isinstance(end, float) and end <= t):
+                break
+            passed += 2
+        self._passed[k] = passed
