@@ -171,6 +171,7 @@ def inverse_dynamics(
         system.model, {} if posture_acceleration is None else posture_acceleration
     )
     with system.borrow() as controlled:
+        controlled.model.require_joints_as_written(t, "inverse dynamics")
         data = _uncontrolled(controlled)
         ev = evaluate(data, t, state)
         return _solve(data, ev, desired, relative, posture, internal_forces, basis)

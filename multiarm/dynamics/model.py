@@ -257,6 +257,23 @@ class Model:
         """The same model with other constants for kernels."""
         return replace(self, constants=self.constants._replace(**changes))
 
+    def require_joints_as_written(self, t: float, what: str) -> None:
+        """Refuse timed joints that do not hold at a time [s] where the scene's start has them.
+
+        Raises
+        ------
+        ModelError
+            ``what`` takes the joints as the scene has them.
+        """
+        for joint in () if self.unilateral is None else self.unilateral.timed:
+            interval = joint.interval_at(t)
+            placed = interval is not None and isinstance(interval.begin, float)
+            if not placed or (joint.located and interval.begin > 0.0):
+                raise ModelError(
+                    f"{what}: joint '{joint.connection}' does not hold at t = {t:g} s as it does "
+                    "at the scene's start; take a time at which it does, or a scene without it"
+                )
+
     def with_contacts_closed(self) -> Model:
         """The same model with all contacts of its joints closed, as bilateral constraints.
 

@@ -17,7 +17,7 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.state import State, fill_by_arm
 from multiarm.dynamics.status import OK
 from multiarm.dynamics.system import System, require_system
-from multiarm.errors import ControlError, SolverError
+from multiarm.errors import ControlError, ModelError, SolverError
 from multiarm.integration.step_control import shortest_step
 from multiarm.public import public_names
 from multiarm.results.channels import channels_of, in_sequence
@@ -25,9 +25,9 @@ from multiarm.results.outcome import RunStatus
 from multiarm.results.sinks import MemorySink
 from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
-from multiarm.scene.faults import shown
+from multiarm.scene.faults import shown, unknown
 from multiarm.scene.values import is_finite
-from multiarm.simulation.driver import End, Ending, failure_of, state_of
+from multiarm.simulation.driver import End, Ending, failure_of, state_of, where_of
 from multiarm.simulation.record import open_sink, run_statistics
 from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
@@ -244,6 +244,70 @@ class Stepper:
         if ending.end is not End.COMPLETED:
             self._fail(ending)
         return state_of(self._run, self._layout)
+
+    def attach(self, joint: str) -> None:
+        """Let a joint take hold now, by its name: the arm, or as results have it.
+
+        A joint that holds for some of the time only can be commanded: one with `from`, or with
+        `until: never`.  The command takes the place of its next time or event.  Taking hold is an
+        impact without restitution, see the event "attached" in :attr:`events`.
+
+        Raises
+        ------
+        ModelError
+            When there is no such joint, or it holds already.
+        SolverError
+            When its bodies are too far apart or move too fast, or the motion cannot go on.
+        """
+        self._switch(joint, True)
+
+    def detach(self, joint: str) -> None:
+        """Let a joint let go now; all velocities stay, forces jump.  See :meth:`attach`.
+
+        Raises
+        ------
+        ModelError
+            When there is no such joint, or it does not hold.
+        SolverError
+            When the motion cannot go on.
+        """
+        self._switch(joint, False)
+
+    @property
+    def attached(self) -> tuple[str, ...]:
+        """The joints that hold, in the scene's order."""
+        events, holding = self._driver.events, set()
+        timed = self._timed
+        if events is not None:
+            holding = {timed[k] for k in events.modes.holding}
+        joints = self._task.system.model.connections
+        return tuple(name for name in joints if name not in timed or name in holding)
+
+    @property
+    def _timed(self) -> list[str]:
+        """Names of the joints that can be commanded."""
+        unilateral = self._task.system.model.unilateral
+        return [] if unilateral is None else [joint.connection for joint in unilateral.timed]
+
+    def _switch(self, joint: str, holds: bool) -> None:
+        timed, verb = self._timed, "attach" if holds else "detach"
+        if self._dead_end:
+            raise SolverError(f"{self._dead_end.message}; `reset` it")
+        if joint not in timed:
+            if joint in self._task.system.model.connections:
+                raise ModelError(
+                    f"{verb}: joint {joint!r} holds all the time; write `until: never` in the "
+                    "scene for one that is let go by command, `from: never` for one that takes hold"
+                )
+            raise ModelError(f"{verb}: {unknown('joint', joint, timed)}")
+        if (joint in self.attached) == holds:
+            raise ModelError(f"{verb}: joint {joint!r} {'holds already' if holds else 'is open'}")
+        events, run = self._driver.events, self._run
+        assert events is not None, "it has timed joints"
+        fault = events.command(run, timed.index(joint))
+        if fault:
+            self._dead_end = Ending(End.UNDECIDED, f"{where_of(run)}: {fault}")
+            raise SolverError(self._dead_end.message)
 
     def _begin(self, task: Task, torques: np.ndarray | None) -> None:
         """Bring a task to its start, where ``torques`` are held, or those of its own control."""
