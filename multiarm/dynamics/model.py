@@ -267,8 +267,9 @@ class Model:
         """
         for joint in () if self.unilateral is None else self.unilateral.timed:
             interval = joint.interval_at(t)
-            placed = interval is not None and isinstance(interval.begin, float)
-            if not placed or (joint.located and interval.begin > 0.0):
+            latest = 0.0 if joint.located else t  # when it began to hold, at the latest
+            begin = np.inf if interval is None else interval.begin
+            if not (isinstance(begin, float) and begin <= latest):
                 raise ModelError(
                     f"{what}: joint '{joint.connection}' does not hold at t = {t:g} s as it does "
                     "at the scene's start; take a time at which it does, or a scene without it"

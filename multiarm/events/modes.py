@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multiarm.contacts.table import select_rows
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.data import Data
@@ -56,6 +57,11 @@ class Modes:
         With all rows: gaps, rates and directions of those that are not held, too.
     closed : Data
         With all contacts of the joints closed.
+    of_laws : Data
+        The same for control laws, of joints that hold; with tangents where these count friction.
+    bilateral : RowSelection
+        With the rows that are held whatever contacts do: how the bodies respond to forces in the
+        others.
     holding : frozenset of int
         Timed joints that hold.
     idle : frozenset of int
@@ -86,9 +92,15 @@ class Modes:
         self.closed = full.closed
         self.holding: frozenset[int] = frozenset()
         self.idle = unilateral.idle_without(self.holding)
-        self._fixed = {self.holding: FixedRows(full, self.holding)}
-        self._structs = ModeStructs(active=True)
+        everything = frozenset(range(len(unilateral.timed)))
+        self._laws = {everything: full.of_laws}
+        self.of_laws = self.prepare(self.holding)
+        self._structs, self._without_contacts = ModeStructs(active=True), ModeStructs(active=True)
         self._structs.refer(of_laws=self.of_laws.reference, full=full.reference)
+        self._without_contacts.refer(of_laws=self.of_laws.reference)
+        self.bilateral = RowSelection(full, modes=self._without_contacts)
+        self.bilateral.select(np.array(self.bilateral_rows, dtype=np.int64))
+        self.bilateral.of_laws = self.of_laws
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
         self.data.of_laws = self.of_laws
         self._functions = functions = self.data.arrays.functions
@@ -133,20 +145,13 @@ class Modes:
 
     # --- timed joints -----------------------------------------------------------------------------
 
-    @property
-    def of_laws(self) -> Data:
-        """With all contacts closed of the joints that hold, and tangents where laws count them."""
-        return self._fixed[self.holding].of_laws
-
-    @property
-    def bilateral(self) -> Data:
-        """With the rows that are always held: how the bodies respond to forces in the others."""
-        return self._fixed[self.holding].bilateral
-
-    @property
+    @cached_property
     def unconstrained(self) -> Data:
         """Without any row: how the bodies respond where redundant rows share their forces."""
-        return self._fixed[self.holding].unconstrained
+        data = self.full.view(replace(self.full.model.select(()), unilateral=None))
+        data.replace_arrays(modes=self._without_contacts)
+        data.of_laws = self.of_laws
+        return data
 
     @property
     def bilateral_rows(self) -> tuple[int, ...]:
@@ -162,11 +167,21 @@ class Modes:
         """Let these timed joints hold, and no others, in modes that are entered from now on."""
         self._stale |= (holding, awaited) != (self.holding, self.awaited)
         self.awaited = awaited
-        if holding not in self._fixed:
-            self._fixed[holding] = FixedRows(self.full, holding)
+        if holding == self.holding:
+            return
         self.holding, self.idle = holding, self.unilateral.idle_without(holding)
-        self._structs.refer(of_laws=self.of_laws.reference)
-        self.data.of_laws = self.of_laws
+        self.bilateral.select(np.array(self.bilateral_rows, dtype=np.int64))
+        self.of_laws = self.prepare(holding)
+        for structs in (self._structs, self._without_contacts):
+            structs.refer(of_laws=self.of_laws.reference)
+        for data in (self.data, self.bilateral, self.unconstrained):
+            data.of_laws = self.of_laws
+
+    def prepare(self, holding: frozenset[int]) -> Data:
+        """What laws see while these timed joints hold, made where it is not known yet."""
+        if holding not in self._laws:
+            self._laws[holding] = self.full.view(self.full.model.of_laws(holding))
+        return self._laws[holding]
 
     def place(self, timed: int, as_written: bool = False) -> None:
         """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
@@ -175,9 +190,15 @@ class Modes:
         """
         self._stale = True
         place_joint(self.full, self._written, self.unilateral.timed[timed], as_written)
-        self._fixed = {k: rows for k, rows in self._fixed.items() if timed not in k}
-        self.closed = self.full.view(self.full.model.with_contacts_closed())
-        for selection in (self.data, self.data.tangents):
+        of_laws = [
+            (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
+            for holding, data in self._laws.items()
+        ]
+        for data, rows in (*of_laws, (self.closed, self.unilateral.model)):
+            select_rows(
+                self.full.model.constants.contacts, np.array(rows), data.model.constants.contacts
+            )
+        for selection in (self.data, self.data.tangents, self.bilateral):
             if selection is not None:
                 selection.forget()
 
@@ -190,9 +211,8 @@ class Modes:
 
     @property
     def _violated(self) -> np.ndarray:
-        violated = ~(self.guards.value >= -self.guards.level)
-        violated[[guard.constraint < 0 for guard in self.watched]] = False  # moments that come now
-        return violated
+        # a moment whose function is not positive comes now
+        return ~(self.guards.value >= -self.guards.level) & self._of_constraints
 
     @property
     def contradictions(self) -> tuple[str, ...]:
@@ -244,6 +264,7 @@ class Modes:
         self.guards = self._guards.first(guards.size)
         self._watched = guards.tolist()
         self.watched = [self._guards.all[k] for k in self._watched]
+        self._of_constraints = np.array([guard.constraint >= 0 for guard in self.watched], bool)
         self._choose_solver(sliding)
 
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
@@ -309,44 +330,6 @@ class Modes:
             speed=np.zeros(count),
         )
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all
-
-
-class FixedRows:
-    """Data with fixed rows, in which control and effects act as in all modes, for some joints.
-
-    Parameters
-    ----------
-    full : Data
-        With all rows.
-    holding : frozenset of int
-        Timed joints that hold.
-
-    Attributes
-    ----------
-    of_laws, bilateral : Data
-        See :class:`Modes`.
-    """
-
-    def __init__(self, full: Data, holding: frozenset[int]) -> None:
-        unilateral = full.model.unilateral
-        assert unilateral is not None, "a system with unilateral contacts"
-        self._full, self.of_laws = full, full.of_laws
-        if len(holding) < len(unilateral.timed):
-            self.of_laws = full.view(full.model.of_laws(holding))
-        self.bilateral = self._with_rows(unilateral.bilateral_with(holding))
-
-    @cached_property
-    def unconstrained(self) -> Data:
-        """Without any row."""
-        return self._with_rows(())
-
-    def _with_rows(self, rows: Sequence[int]) -> Data:
-        data = self._full.view(replace(self._full.model.select(rows), unilateral=None))
-        modes = ModeStructs(active=True)
-        modes.refer(of_laws=self.of_laws.reference)
-        data.replace_arrays(modes=modes)
-        data.of_laws = self.of_laws
-        return data
 
 
 class _Tables(NamedTuple):

@@ -27,8 +27,8 @@ from multiarm.events.modes import Modes
 
 # Largest gap across which a joint takes hold [m].
 LARGEST_GAP = 1e-4
-# Impacts in a row, of which the last ones stop roundings.
-MOST_IMPACTS = 3
+# Impacts in a row, of which the last ones stop roundings: below this part of the energy lost.
+MOST_IMPACTS, ROUNDED = 3, 1e-30
 
 
 class Grip(NamedTuple):
@@ -68,6 +68,8 @@ def take_hold(modes: Modes, joints: Iterable[int]) -> Grip:
         velocity += impact.change
         impulses[rows] += impact.impulses
         lost += impact.energy_lost
+        if impact.energy_lost <= ROUNDED * lost:
+            break
     require_ok(modes.bilateral, update_kinematics(modes.bilateral.struct))
     require_ok(full, update_rows(full.struct))
     owners, wrenches = full.model.layout.owners, wrenches_of(full, impulses)

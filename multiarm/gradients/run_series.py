@@ -186,9 +186,9 @@ def _refuse_events(run: Trajectory) -> None:
     if run.statistics.get("contact_events", 0):
         first = next(event for event in run.events if {"before", "impulse"} & event.keys())
         raise SolverError(
-            f"derivatives of a run: contacts or joints open, close or slide in it, and the motion beyond "
-            f"depends on when ({first['text']} at t = {first['time']:.6g} s); end the run before, "
-            f"or keep the contacts closed"
+            f"derivatives of a run: contacts or joints open, close or slide in it, and the "
+            f"motion beyond depends on when ({first['text']} at t = {first['time']:.6g} s); end "
+            f"the run before, or keep them closed"
         )
 
 

@@ -128,6 +128,8 @@ class EventHandler:
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
         self._schedule = schedule = JointSchedule(self.modes.unilateral, time)
+        for holding in schedule.foreseen():
+            self.modes.prepare(holding)
         hold_at(self.modes, time, start, schedule.holding, schedule.awaited)
         touching, off_patch, self._size = touching_constraints(self.modes, time, start)
         of_step = None if self._tolerance is None else self._tolerance.smallest

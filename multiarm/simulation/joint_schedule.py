@@ -42,6 +42,15 @@ class JointSchedule:
         """Numbers of the joints that hold."""
         return frozenset(k for k, passed in enumerate(self._passed) if passed % 2)
 
+    def foreseen(self) -> set[frozenset[int]]:
+        """Which joints hold between all times, and after the next event or command of each."""
+        times = [m for joint in self._moments for m in joint if isinstance(m, float)]
+        sets = {
+            frozenset(k for k, joint in enumerate(self._joints) if joint.interval_at(t))
+            for t in times
+        }
+        return sets | {self.holding ^ {k} for k in range(len(self._joints))}
+
     @property
     def awaited(self) -> frozenset[MomentNumber]:
         """The next moments of all joints that functions tell."""
