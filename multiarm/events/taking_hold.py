@@ -8,8 +8,7 @@ impact: their impulses act on bodies that hold each other already.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from multiarm.dynamics.contact_geometry import block_inertias, force_directions
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import joint_of, require_ok
-from multiarm.dynamics.impacts import inelastic_impact
+from multiarm.dynamics.impacts import Impact, inelastic_impact
 from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
 from multiarm.events.joint_places import frame_motions
@@ -27,54 +26,66 @@ from multiarm.events.modes import Modes
 
 # Largest gap across which a joint takes hold [m].
 LARGEST_GAP = 1e-4
-# Impacts in a row, of which the last ones stop roundings: below this part of the energy lost.
-MOST_IMPACTS, ROUNDED = 3, 1e-30
 
 
-class Grip(NamedTuple):
-    """An impact at which joints take hold."""
-
-    impulses: dict[int, np.ndarray]  # (6,) on the second body, by timed joint [N s, N m s]
-    energy_lost: float  # [J]
-
-
-def take_hold(modes: Modes, joints: Iterable[int]) -> Grip:
-    """Stop the rates of all rows that are held from now on, in the state of the data.
+class TakingHold:
+    """The impact at which timed joints take hold, at the state in the data.
 
     Parameters
     ----------
     modes : Modes
         With the timed joints that hold from now on, and the kinematics of all rows.
-    joints : iterable of int
-        The timed joints that have begun to.
 
-    Returns
-    -------
-    Grip
-        Wrenches of the impulses, those of least norm, as :attr:`multiarm.Trajectory.wrenches`
-        has them of forces.
+    Attributes
+    ----------
+    energy_lost : float
+        By it [J].
     """
-    full, rows = modes.full, list(modes.bilateral_rows)
-    velocity = full.arrays.state.velocity
-    jacobian = force_directions(full)[:, rows].T
-    inertias = [full.arrays.bodies.object_inertia, *block_inertias(full)]
-    factor, first = np.zeros((velocity.size, velocity.size)), 0
-    for inertia in inertias:
-        end = first + len(inertia)
-        factor[first:end, first:end], first = np.linalg.cholesky(inertia), end
-    impulses, lost = np.zeros(full.model.layout.contacts), 0.0
-    for _ in range(MOST_IMPACTS):
-        impact = inelastic_impact(jacobian, factor, velocity)
-        velocity += impact.change
-        impulses[rows] += impact.impulses
-        lost += impact.energy_lost
-        if impact.energy_lost <= ROUNDED * lost:
-            break
-    require_ok(modes.bilateral, update_kinematics(modes.bilateral.struct))
-    require_ok(full, update_rows(full.struct))
-    owners, wrenches = full.model.layout.owners, wrenches_of(full, impulses)
-    places = {k: owners.index(modes.unilateral.timed[k].connection) for k in joints}
-    return Grip({k: wrenches[c] for k, c in places.items()}, lost)
+
+    def __init__(self, modes: Modes) -> None:
+        full = modes.full
+        self._modes, self._rows = modes, list(modes.bilateral_rows)
+        self._directions = force_directions(full)
+        self._velocity = full.arrays.state.velocity.copy()
+        inertias = [full.arrays.bodies.object_inertia, *block_inertias(full)]
+        self._factor, first = np.zeros((self._velocity.size,) * 2), 0
+        for inertia in inertias:
+            end = first + len(inertia)
+            self._factor[first:end, first:end] = np.linalg.cholesky(inertia)
+            first = end
+        impact = self._stopped(self._velocity)
+        self.energy_lost = impact.energy_lost
+        full.arrays.state.velocity[:] += impact.change
+        require_ok(modes.bilateral, update_kinematics(modes.bilateral.struct))
+        require_ok(full, update_rows(full.struct))
+
+    def impulses(self, of_contacts: Mapping[int, float]) -> dict[str, np.ndarray]:
+        """Impulses (6,) of all timed joints that hold, on their second bodies [N s, N m s].
+
+        ``of_contacts`` are those of contacts and stops that have answered, by row.  They are of
+        least norm, and as :attr:`multiarm.Trajectory.wrenches` has forces.
+        """
+        full = self._modes.full
+        total = np.zeros(full.model.layout.contacts)
+        total[list(of_contacts)] = list(of_contacts.values())
+        pushed = np.linalg.solve(self._factor, self._directions @ total)
+        pushed = np.linalg.solve(self._factor.T, pushed)
+        total[self._rows] += self._stopped(self._velocity + pushed).impulses
+        wrenches, owners = wrenches_of(full, total), full.model.layout.owners
+        timed = self._modes.unilateral.timed
+        names = [timed[k].connection for k in sorted(self._modes.holding)]
+        return {name: wrenches[owners.index(name)] for name in names}
+
+    def _stopped(self, velocity: np.ndarray) -> Impact:
+        """The impact that stops the rates of all rows that are held, and then roundings of it."""
+        rows = self._directions[:, self._rows].T
+        impact = inelastic_impact(rows, self._factor, velocity)
+        again = inelastic_impact(rows, self._factor, velocity + impact.change)
+        return Impact(
+            impact.change + again.change,
+            impact.impulses + again.impulses,
+            impact.energy_lost + again.energy_lost,
+        )
 
 
 def require_reach(modes: Modes, timed: int) -> None:

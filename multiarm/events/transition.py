@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,6 +100,8 @@ class Decision:
         Kinetic energy that the impact added [J], positive by rounding only.
     rested : tuple of int
         Constraints whose bouncing was ended.
+    impulses : dict
+        Of all constraints at the impact, by row [N s, N m s].
     """
 
     mode: Mode
@@ -108,6 +111,7 @@ class Decision:
     hits: tuple[Hit, ...] = ()
     energy: float = 0.0
     rested: tuple[int, ...] = ()
+    impulses: dict[int, float] = field(default_factory=dict)
     _central: Callable[[], tuple[Mode, dict[int, float]] | None] = lambda: None
 
     def with_central_forces(self) -> Decision | None:
@@ -176,6 +180,15 @@ class _ModeProblem:
         return {row: k for k, row in enumerate(self.rows)}
 
 
+class _Impact(NamedTuple):
+    """An impact, as its decision has it."""
+
+    hits: tuple[Hit, ...]
+    energy: float
+    rested: tuple[int, ...]
+    impulses: dict[int, float]
+
+
 class Transition:
     """The transition at the state in the data, whose velocities an impact changes.
 
@@ -205,28 +218,24 @@ class Transition:
     def decide(self, with_impacts: bool = True) -> Decision:
         """Impacts, unless they are left out, then the contact modes."""
         self._rows.update()
-        hits, energy, rested = self._impact() if with_impacts else ([], 0.0, [])
-        if hits:
+        impact = self._impact() if with_impacts else None
+        if impact is not None:
             self._rows.update()
         decision = self._contact_modes()
-        return replace(
-            decision,
-            residual=max(self._residual, decision.residual),
-            hits=tuple(hits),
-            energy=energy,
-            rested=tuple(rested),
-        )
+        if impact is not None:
+            decision = replace(decision, **impact._asdict())
+        return replace(decision, residual=max(self._residual, decision.residual))
 
     # --- impacts ----------------------------------------------------------------------------------
 
-    def _impact(self) -> tuple[list[Hit], float, list[int]]:
-        """Change the velocities at an impact: hits, energy added, contacts put to rest."""
+    def _impact(self) -> _Impact | None:
+        """Change the velocities at an impact; None where nothing hits."""
         constraints, rates, rest = self._constraints, self._rows.rates.copy(), self._rows.rest_rate
         involved = [u for u in self._touching if constraints[u].kind != DRY_JOINT]
         closing = {u for u in involved if not constraints[u].bilateral}
         hit = {u for u in closing if rates[constraints[u].row] < -rest}
         if not hit:
-            return [], 0.0, []
+            return None
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bilateral)
         before = rates[rows]
@@ -243,7 +252,12 @@ class Transition:
             Hit(u, float(rates[constraints[u].row]), float(after[k]), float(solution.forces[k]))
             for u, k in ((u, rows.index(constraints[u].row)) for u in hit)
         ]
-        return hits, energy_added(solution.forces, before, after), sorted(rested & hit)
+        return _Impact(
+            hits=tuple(hits),
+            energy=energy_added(solution.forces, before, after),
+            rested=tuple(sorted(rested & hit)),
+            impulses=dict(zip(rows, solution.forces.tolist(), strict=True)),
+        )
 
     def _collide(
         self,

@@ -8,8 +8,11 @@ continues with the same step.
 
 from __future__ import annotations
 
+import math
 from collections import deque
+from collections.abc import Set
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,7 +41,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import Modes
-from multiarm.events.taking_hold import hold_at, require_reach, take_hold
+from multiarm.events.taking_hold import TakingHold, hold_at, require_reach
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -68,6 +71,14 @@ JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a 
 IMPULSE_STEPS = 100
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
+
+
+class Switch(NamedTuple):
+    """What timed joints do at an instant."""
+
+    grip: TakingHold | None  # the impact of those that take hold
+    taking: Set[int]
+    letting: Set[int]
 
 
 @dataclass
@@ -207,7 +218,7 @@ class EventHandler:
     def forget_pending(self, run: Run) -> None:
         """Forget the event that was located: the run does not come to it."""
         self._pending, self._phase, self.modes.numbers.muted = None, None, False
-        self._stop_at_switch(run)
+        self.stop_at_switch(run)
 
     def cross(self, run: Run) -> str:
         """Decide the next mode at the event where the run has stopped; returns why it must end."""
@@ -228,10 +239,14 @@ class EventHandler:
         )
         return self._go_on(run, participants, before)
 
-    def _go_on(self, run: Run, participants: Participants, before: Mode) -> str:
+    def _go_on(
+        self, run: Run, participants: Participants, before: Mode, switch: Switch | None = None
+    ) -> str:
         """Decide the next mode at the state in the data; returns why the run must end."""
         t = run.clock.t
         decision = self._decide(t, participants)
+        if switch is not None:
+            self._log_switch(t, switch, decision)
         self._add_impact(run, decision)
         ended = before if before.holding == self.modes.holding else None
         decision, holds = enter_consistent_mode(self.modes, decision, ended)
@@ -282,29 +297,35 @@ class EventHandler:
                 modes.place(k)
         modes.hold(holding, self._schedule.awaited)
         self._load(run)
-        if taking:
-            grip = take_hold(modes, taking)
+        grip = TakingHold(modes) if taking else None
+        if grip is not None:
             self._add_work(run, -grip.energy_lost)
-            losses = [grip.energy_lost, *[0.0] * len(taking)]  # that of all together
-            for k, lost in zip(sorted(taking), losses, strict=False):
-                self._log_switch(t, EventKind.ATTACHED, k, grip.impulses[k], lost)
-        for k in sorted(letting):
-            self._log_switch(t, EventKind.DETACHED, k, np.zeros(6), 0.0)
         off_patch = off_patch_constraints(modes, before, set())
         participants = Participants(self._touching([]), off_patch=off_patch, elastic=False)
-        return self._go_on(run, participants, before)
+        return self._go_on(run, participants, before, Switch(grip, taking, letting))
 
-    def _log_switch(
-        self, t: float, kind: EventKind, joint: int, impulse: np.ndarray, lost: float
-    ) -> None:
-        self.count += 1
-        name = self.modes.unilateral.timed[joint].connection
-        event = RunEvent(t, kind, arm=name, impulse=tuple(impulse.tolist()), energy_loss=lost)
-        self._log.add(event)
+    def _log_switch(self, t: float, switch: Switch, decision: Decision) -> None:
+        """Log what joints have done; the loss is that of all at this instant."""
+        names = [joint.connection for joint in self.modes.unilateral.timed]
+        impulses, lost, events = {}, 0.0, []
+        if switch.grip is not None:
+            impulses = switch.grip.impulses(decision.impulses)
+            lost = switch.grip.energy_lost - decision.energy
+        for k in sorted(switch.taking):
+            kind, impulse = EventKind.ATTACHED, tuple(impulses[names[k]].tolist())
+            events.append(RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=lost))
+        for k in sorted(switch.letting):
+            kind, impulse = EventKind.DETACHED, (0.0,) * 6
+            events.append(RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=0.0))
+        self.count += len(events)
+        self._log.add(*events)
 
-    def _stop_at_switch(self, run: Run) -> None:
-        """Let the loop stop where the next joint is switched."""
-        run.clock.stop = min(run.clock.stop, self._schedule.next_time(run.clock.t))
+    def stop_at_switch(self, run: Run) -> None:
+        """Let the loop stop where the next joint is switched, or at an event before."""
+        clock, due = run.clock, self._schedule.next_time(run.clock.t)
+        if abs(due - clock.end) <= 2.0 * shortest_step(clock.end):
+            due = clock.end  # no step would lead from one to the other
+        clock.stop = min(due, math.inf if self._pending is None else self._pending.time)
 
     # --- impulse steps ----------------------------------------------------------------------------
 
@@ -463,7 +484,7 @@ class EventHandler:
         run.solver_log.reset(run.data)
         passed = np.flatnonzero(~(self.modes.guards.value > 0.0)).tolist()
         self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
-        self._stop_at_switch(run)
+        self.stop_at_switch(run)
 
     def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
         events = decision_events(self.modes, t, decision, before)

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.events.mode_guards import MomentNumber
+from multiarm.integration.step_control import shortest_step
 from multiarm.scene.joints.times import Moment, Touching, When
 
 
@@ -68,7 +69,8 @@ class JointSchedule:
 
     def joints_due(self, t: float) -> list[int]:
         """The joints to be switched at a time [s]."""
-        return [k for k in range(len(self._joints)) if k in self.due or self._next(k) <= t]
+        now = t + 2.0 * shortest_step(t)
+        return [k for k in range(len(self._joints)) if k in self.due or self._next(k) <= now]
 
     def pass_moment(self, k: int, t: float) -> None:
         """Let a joint that holds let go, and one that does not take hold, at a time [s]."""

@@ -360,6 +360,8 @@ class Stepper:
             self._record_present()
             count = math.ceil(end / self._run.settings.sample_step - SAME_TIME)
         self._run.clock.extend(end, count)
+        if self._driver.events is not None:
+            self._driver.events.stop_at_switch(self._run)
 
     def _record_present(self) -> None:
         """Record the present if a sample is due, with the torques that act from now on."""
