@@ -1,7 +1,8 @@
 """Callbacks: Python functions that compiled code calls in an evaluation.
 
-*User functions* ``f(t, state)``: controllers, wrenches, effects.  They get the time and a copy of
-the state being evaluated; the result is checked and copied into an array that kernels read.
+*User functions* ``f(t, state)``: controllers, wrenches, effects, moments of joints.  They get the
+time and a copy of the state being evaluated; the result is checked and copied into an array that
+kernels read.
 
 A run is certified by repeating it with the same function.  A function with a memory (it integrates,
 counts or draws random numbers) gives other results then, and the two runs are different motions.
@@ -15,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -36,7 +37,7 @@ from multiarm.dynamics.status import (
     OBJECT_INERTIA,
     OK,
 )
-from multiarm.dynamics.variables import Variables
+from multiarm.dynamics.variables import ALWAYS, Variables
 from multiarm.errors import USER_FAULTS, ControlError, MultiarmError
 from multiarm.jit.kernels import cfunc
 from multiarm.jit.pointers import PythonCallback, address_of, call_python
@@ -44,6 +45,8 @@ from multiarm.jit.structs import struct_at
 
 ControlFunction = Callable[[float, State], Mapping[str, np.ndarray]]
 
+# Keys of what a controller says to timed joints.
+ATTACH, DETACH = "attach", "detach"
 # Owners of the user functions that this thread is calling.
 _running: ContextVar[tuple[object, ...]] = ContextVar("running", default=())
 
@@ -144,6 +147,73 @@ class UserCallback(PythonCallback):
             raise ControlError(f"{error} (at t = {t:.6g} s)") from None
 
 
+class ControlCallback(UserCallback):
+    """A controller, whose answer has torques, and may have commands to timed joints.
+
+    Parameters
+    ----------
+    function, name, layout, variables, owner
+        See :class:`UserCallback`.
+    timed : sequence of str
+        The joints that can be commanded.
+
+    Attributes
+    ----------
+    commands : list of (str, bool)
+        Joints that are to hold, and not to hold, since they were taken last.
+    notify : callable
+        Called when there are commands.
+    """
+
+    def __init__(
+        self,
+        function: ControlFunction,
+        name: str,
+        layout: Layout,
+        variables: Variables,
+        owner: object,
+        timed: Sequence[str],
+    ) -> None:
+        out = variables.control.torque
+        super().__init__(function, name, self._read_answer, out, layout, variables, owner)
+        self._timed, self._said = timed, list[tuple[str, bool]]()
+        self.commands: list[tuple[str, bool]] = []
+        self.notify: Callable[[], None] = lambda: None
+
+    def _write(self) -> None:
+        super()._write()
+        if self._said:
+            self.commands += self._said
+            self.notify()
+
+    def _read_answer(self, answer: Any) -> np.ndarray:
+        """The torques of an answer, (n,); what it says to joints is kept."""
+        self._said.clear()
+        if isinstance(answer, Mapping) and not {ATTACH, DETACH}.isdisjoint(answer):
+            for key, holds in ((ATTACH, True), (DETACH, False)):
+                names = answer.get(key, ())
+                self._said += [(n, holds) for n in ([names] if isinstance(names, str) else names)]
+            self._require_usable()
+            answer = {key: value for key, value in answer.items() if key not in (ATTACH, DETACH)}
+        stacked = np.zeros(self._layout.rate_count)
+        fill_by_arm(f"{self.name}'s torques", self._layout, stacked, answer, ControlError)
+        return stacked
+
+    def _require_usable(self) -> None:
+        for name, holds in self._said:
+            if name not in self._timed:
+                verb = "attaches" if holds else "detaches"
+                joints = ", ".join(map(repr, self._timed)) or "(none; write `from` or `until`)"
+                raise ControlError(
+                    f"{self.name} {verb} {name!r}; joints that can be commanded are {joints}"
+                )
+        if self._said and self._variables.control.sampling.mode == ALWAYS:
+            raise ControlError(
+                f"{self.name} commands joints, which a control can do at its samples only; give it "
+                "a `sample_time`"
+            )
+
+
 @dataclass(frozen=True)
 class PythonControl:
     """A controller in Python.
@@ -170,17 +240,12 @@ class PythonControl:
         """``Constants.control``."""
         return table_of([CalledFunction(address_of(call_controller))])
 
-    def connect(self, layout: Layout, variables: Variables) -> UserCallback:
-        """The callback that writes the torques."""
-
-        def read(torques: object) -> np.ndarray:
-            stacked = np.zeros(layout.rate_count)
-            fill_by_arm(f"{self.who}'s torques", layout, stacked, torques, ControlError)
-            return stacked
-
+    def connect(
+        self, layout: Layout, variables: Variables, timed: Sequence[str]
+    ) -> ControlCallback:
+        """The callback that writes the torques, and commands the ``timed`` joints."""
         function = self.function if self.instance is None else self.instance()
-        out, owner = variables.control.torque, self.function
-        return UserCallback(function, self.who, read, out, layout, variables, owner)
+        return ControlCallback(function, self.who, layout, variables, self.function, timed)
 
 
 @cfunc

@@ -397,7 +397,8 @@ class Data:
 
     def _connect_control(self) -> None:
         if self.model.python_control is not None:
-            control = self.model.python_control.connect(self.model.layout, self.arrays)
+            timed = [joint.connection for joint in self.model.timed_joints]
+            control = self.model.python_control.connect(self.model.layout, self.arrays, timed)
             self.add_callback("control", control)
 
     def _connect_effects(self) -> None:

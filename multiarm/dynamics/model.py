@@ -27,7 +27,7 @@ from multiarm.contacts.table import (
     select_joint_rows,
     select_rows,
 )
-from multiarm.contacts.unilateral import UnilateralConstraints
+from multiarm.contacts.unilateral import TimedJoint, UnilateralConstraints
 from multiarm.dynamics.arrays import COUPLED, Constants
 from multiarm.dynamics.callbacks import PythonControl
 from multiarm.dynamics.connections import Connection
@@ -257,6 +257,11 @@ class Model:
         """The same model with other constants for kernels."""
         return replace(self, constants=self.constants._replace(**changes))
 
+    @property
+    def timed_joints(self) -> tuple[TimedJoint, ...]:
+        """The joints that hold for some of the time."""
+        return () if self.unilateral is None else self.unilateral.timed
+
     def require_joints_as_written(self, t: float, what: str) -> None:
         """Refuse timed joints that do not hold at a time [s] where the scene's start has them.
 
@@ -265,7 +270,7 @@ class Model:
         ModelError
             ``what`` takes the joints as the scene has them.
         """
-        for joint in () if self.unilateral is None else self.unilateral.timed:
+        for joint in self.timed_joints:
             interval = joint.interval_at(t)
             latest = 0.0 if joint.located else t  # when it began to hold, at the latest
             begin = np.inf if interval is None else interval.begin

@@ -63,6 +63,7 @@ R = TypeVar("R", bound=tuple)
 Places = Any  # a number, or a tuple of places
 
 
+@functools.cache
 def width(kind: type) -> int:
     """Numbers of a row."""
     return sum(_count(places) for places in _places_of(kind).values())
@@ -146,6 +147,7 @@ def _fields(kind: type) -> dict[str, tuple[int, Places]]:
     return fields
 
 
+@functools.cache
 def _count(places: Places) -> int:
     return sum(map(_count, places)) if isinstance(places, tuple) else 1
 

@@ -12,12 +12,14 @@ import math
 from collections import deque
 from collections.abc import Set
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
+from multiarm.dynamics.callbacks import ControlCallback
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics, update_rows
@@ -281,6 +283,18 @@ class EventHandler:
         except MultiarmError as error:
             return str(error)
 
+    def _hear(self, run: Run, control: ControlCallback) -> None:
+        """Take the commands of a controller; those that say what is so already change nothing."""
+        names = [joint.connection for joint in self.modes.unilateral.timed]
+        for name, holds in control.commands:
+            k = names.index(name)
+            if (k in self.modes.holding) == holds:
+                self._schedule.due.discard(k)
+            else:
+                self._schedule.due.add(k)
+        control.commands.clear()
+        self.stop_at_switch(run)
+
     def _switch(self, run: Run) -> str:
         """Let the joints whose moment has come take hold, or let go."""
         modes, t, before = self.modes, run.clock.t, self.modes.mode
@@ -452,7 +466,7 @@ class EventHandler:
         """Count energy [J] among the works of impacts."""
         if energy:
             works = self._works(run)
-            works[run.data.model.effects.slot("impacts")] += energy
+            works[self.modes.full.model.effects.slot("impacts")] += energy
             works[-1] += energy
 
     def _continue(self, run: Run) -> None:
@@ -482,6 +496,10 @@ class EventHandler:
         """Start the guards at the state in the data, which has been evaluated."""
         require_ok(run.data, start_guards(run.data.struct))
         run.solver_log.reset(run.data)
+        control = run.data.callbacks.get("control")
+        if isinstance(control, ControlCallback):
+            control.notify = partial(self._hear, run, control)
+            self._hear(run, control)
         passed = np.flatnonzero(~(self.modes.guards.value > 0.0)).tolist()
         self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
         self.stop_at_switch(run)

@@ -286,8 +286,7 @@ class Stepper:
     @property
     def _timed(self) -> list[str]:
         """Names of the joints that can be commanded."""
-        unilateral = self._task.system.model.unilateral
-        return [] if unilateral is None else [joint.connection for joint in unilateral.timed]
+        return [joint.connection for joint in self._task.system.model.timed_joints]
 
     def _switch(self, joint: str, holds: bool) -> None:
         timed, verb = self._timed, "attach" if holds else "detach"
