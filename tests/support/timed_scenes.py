@@ -43,10 +43,31 @@ def switches(trajectory: ma.Trajectory) -> list[Table]:
     return [e for e in trajectory.events if e["kind"] in ("attached", "detached")]
 
 
-def without(table: Table, *names: str) -> Table:
-    """A scene without the joints of some names, or of some arms."""
-    joints = [j for j in table["joints"] if not {j.get("name"), j.get("arm")} & set(names)]
+def held_never(table: Table, *names: str) -> Table:
+    """A scene in which the joints of some names, or of some arms, do not hold at any time."""
+    joints = []
+    for joint in table["joints"]:
+        if {joint.get("name"), joint.get("arm")} & set(names):
+            joint = {key: value for key, value in joint.items() if key != "until"}
+            joint |= {"from": "never"}
+        joints.append(joint)
     return table | {"joints": joints}
+
+
+def last_state(system: ma.System, trajectory: ma.Trajectory) -> ma.State:
+    """The state at the last sample of a run."""
+    return system.state(
+        objects={
+            name: {
+                "position": motion.position[-1],
+                "quaternion_xyzw": motion.quaternion_xyzw[-1],
+                "twist": motion.twist[-1],
+            }
+            for name, motion in trajectory.objects.items()
+        },
+        joint_positions={name: trajectory.joint_positions[name][-1] for name in system.arms},
+        joint_velocities={name: trajectory.joint_velocities[name][-1] for name in system.arms},
+    )
 
 
 # --- carts on a rail along x ----------------------------------------------------------------------
