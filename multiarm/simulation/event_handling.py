@@ -283,10 +283,13 @@ class EventHandler:
 
     def _switch(self, run: Run) -> str:
         """Let the joints whose moment has come take hold, or let go."""
-        modes, t, before = self.modes, run.clock.t, self.modes.mode
-        due = self._schedule.joints_due(t)
-        for k in due:
-            self._schedule.pass_moment(k, t)
+        modes, clock, before = self.modes, run.clock, self.modes.mode
+        now = clock.t + shortest_step(clock.t)
+        if clock.end <= now:  # no step leads there
+            clock.t = clock.end
+        t = clock.t
+        for k in self._schedule.joints_due(now):
+            self._schedule.pass_moment(k, now)
         self._last_length = run.clock.h
         self._load(run)
         holding = self._schedule.holding

@@ -192,6 +192,25 @@ def test_a_run_may_end_when_a_joint_is_switched(begin):
     assert np.max(np.abs(stepper.state.object_twist)) < 1e-12
 
 
+def test_a_step_may_end_within_rounding_of_a_switch():
+    """0.2 s and 0.1 s are 0.30000000000000004 s, after which no step leads from 0.3 s."""
+    system = ma.compile_system(parse_scene(pushed({"from": 0.3}, speed=0.5)))
+    for durations in ([0.2, 0.1, 0.1], [0.3 + 1e-15, 0.1], [0.3 - 1e-15, 0.1]):
+        stepper = ma.Stepper(system, accuracy=1e-8)
+        for duration in durations:
+            stepper.advance(duration)
+        (event,) = [e for e in stepper.events if e["kind"] == "attached"]
+        np.testing.assert_allclose(event["time"], 0.3, rtol=0.0, atol=1e-14)
+        assert np.max(np.abs(stepper.state.object_twist)) < 1e-12
+    assert ma.simulate(system, 0.1 + 0.2, accuracy=1e-8).status == "completed"
+
+
+def test_joints_may_be_switched_within_rounding():
+    pairs = [[0.3, 0.3 + 1e-14], [0.3 + 2e-14, "never"]]
+    trajectory = simulate(pushed({"from": pairs}, speed=0.5), 0.5)
+    assert kinds_and_times(trajectory)[0] == ["attached", "detached", "attached"]
+
+
 # --- letting go -----------------------------------------------------------------------------------
 
 
