@@ -98,7 +98,7 @@ def advance(arrays: INTS, clock: INTS, settings: INTS, block: TABLE, budget: INT
             return status
         if clock.t >= clock.end:
             return FINISHED
-        if clock.t + shortest_step(clock.t) >= clock.stop:
+        if clock.t >= clock.stop:
             return STOPPED
         if clock.switch and clock.stiff_steps >= STIFF_AFTER:
             return STIFF

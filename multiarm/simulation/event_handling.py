@@ -283,13 +283,10 @@ class EventHandler:
 
     def _switch(self, run: Run) -> str:
         """Let the joints whose moment has come take hold, or let go."""
-        modes, clock, before = self.modes, run.clock, self.modes.mode
-        now = clock.t + shortest_step(clock.t)
-        if clock.end <= now:  # no step leads there
-            clock.t = clock.end
-        t = clock.t
-        for k in self._schedule.joints_due(now):
-            self._schedule.pass_moment(k, now)
+        modes, t, before = self.modes, run.clock.t, self.modes.mode
+        due = self._schedule.joints_due(t)
+        for k in due:
+            self._schedule.pass_moment(k, t)
         self._last_length = run.clock.h
         self._load(run)
         holding = self._schedule.holding
@@ -326,8 +323,9 @@ class EventHandler:
     def stop_at_switch(self, run: Run) -> None:
         """Let the loop stop where the next joint is switched, or at an event before."""
         clock, due = run.clock, self._schedule.next_time(run.clock.t)
-        if abs(due - clock.end) <= 2.0 * shortest_step(clock.end):
-            due = clock.end  # no step would lead from one to the other
+        for near in (clock.end, clock.t):  # no step would lead from one to the other
+            if abs(due - near) <= 2.0 * shortest_step(near):
+                due = near
         clock.stop = min(due, math.inf if self._pending is None else self._pending.time)
 
     # --- impulse steps ----------------------------------------------------------------------------
