@@ -337,8 +337,9 @@ class EventHandler:
     def stop_at_switch(self, run: Run) -> None:
         """Let the loop stop where the next joint is switched, or at an event before."""
         clock, due = run.clock, self._schedule.next_time(run.clock.t)
-        if abs(due - clock.end) <= 2.0 * shortest_step(clock.end):
-            due = clock.end  # no step would lead from one to the other
+        for near in (clock.end, clock.t):  # no step would lead from one to the other
+            if abs(due - near) <= 2.0 * shortest_step(near):
+                due = near
         clock.stop = min(due, math.inf if self._pending is None else self._pending.time)
 
     # --- impulse steps ----------------------------------------------------------------------------

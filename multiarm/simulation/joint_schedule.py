@@ -65,18 +65,23 @@ class JointSchedule:
         """When the next joint is to be switched [s]: now, where one is due."""
         if self.due:
             return t
-        return min((self._next(k) for k in range(len(self._joints))), default=math.inf)
+        return min(map(self._due_time, range(len(self._joints))), default=math.inf)
 
     def joints_due(self, t: float) -> list[int]:
         """The joints to be switched at a time [s]."""
-        now = t + 2.0 * shortest_step(t)
-        return [k for k in range(len(self._joints)) if k in self.due or self._next(k) <= now]
+        now = _as_good_as(t)
+        return [k for k in range(len(self._joints)) if k in self.due or self._due_time(k) <= now]
 
     def pass_moment(self, k: int, t: float) -> None:
-        """Let a joint that holds let go, and one that does not take hold, at a time [s]."""
+        """Let a joint that holds let go, and one that does not take hold, at a time [s].
+
+        One whose interval ends before its beginning has come waits for the next one.
+        """
+        now = _as_good_as(t)
+        if k in self.due or self._next(k) <= now:
+            self._passed[k] += 1
         self.due.discard(k)
-        self._passed[k] += 1
-        self._skip(k, t)
+        self._skip(k, now)
 
     def touched(self, closed: Iterable[int]) -> None:
         """Let the moments come that wait for one of these constraints to close."""
@@ -97,6 +102,13 @@ class JointSchedule:
         moment = self._moment(k)
         return moment if isinstance(moment, float) else math.inf
 
+    def _due_time(self, k: int) -> float:
+        """When a joint's next moment comes, or its interval ends before that, as times say [s]."""
+        moments, passed = self._moments[k], self._passed[k]
+        waits = passed % 2 == 0 and isinstance(self._moment(k), When | Touching)
+        end = moments[passed + 1] if waits else math.inf
+        return min(self._next(k), end if isinstance(end, float) else math.inf)
+
     def _skip(self, k: int, t: float) -> None:
         """Pass over intervals that have ended before their beginning came."""
         moments, passed = self._moments[k], self._passed[k]
@@ -106,3 +118,8 @@ class JointSchedule:
                 break
             passed += 2
         self._passed[k] = passed
+
+
+def _as_good_as(t: float) -> float:
+    """A time up to which no step leads from ``t`` [s]."""
+    return t + 2.0 * shortest_step(t)
