@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import select_rows
+from multiarm.contacts.table import copy_geometry
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.data import Data
@@ -193,11 +193,13 @@ class Modes:
         of_laws = [
             (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
             for holding, data in self._laws.items()
+            if timed in holding
         ]
+        table, moved = self.full.model.constants.contacts, self.unilateral.rows_of(timed)
         for data, rows in (*of_laws, (self.closed, self.unilateral.model)):
-            select_rows(
-                self.full.model.constants.contacts, np.array(rows), data.model.constants.contacts
-            )
+            for k, row in enumerate(rows):
+                if row in moved:
+                    copy_geometry(table, row, data.model.constants.contacts, k)
         for selection in (self.data, self.data.tangents, self.bilateral):
             if selection is not None:
                 selection.forget()

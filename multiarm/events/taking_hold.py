@@ -24,6 +24,8 @@ from multiarm.events.joint_places import frame_motions
 from multiarm.events.mode_guards import MomentNumber
 from multiarm.events.modes import Modes
 
+# Part of the terms of a rate that is rounding.
+ROUNDING = 1e-14
 # Largest gap across which a joint takes hold [m].
 LARGEST_GAP = 1e-4
 
@@ -80,6 +82,9 @@ class TakingHold:
         """The impact that stops the rates of all rows that are held, and then roundings of it."""
         rows = self._directions[:, self._rows].T
         impact = inelastic_impact(rows, self._factor, velocity)
+        left = np.abs(rows @ (velocity + impact.change))
+        if np.all(left <= ROUNDING * (np.abs(rows) @ np.abs(velocity))):
+            return impact
         again = inelastic_impact(rows, self._factor, velocity + impact.change)
         return Impact(
             impact.change + again.change,
