@@ -10,12 +10,14 @@ Moreau and Jean.  With :math:`q_m` half a step ahead,
 
 where ``a`` are the accelerations without unilateral contacts, joint stops and dry friction at rest,
 and the impulses ``p`` of these obey their laws with the rates :math:`y = J v^+` at the end.  A
-contact that is open at :math:`q_m` and would close gets the impulse with which it just does,
-:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`; one that is closed there bounces with its
-restitution e as in an impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  Friction opposes
-the slip at the end, and the impulse of dry friction in a joint is bounded by ``h`` times its
-torque.  A solution exists where none of accelerations does: an impulse without a collision.  The
-step is of the first order; its error is estimated from two steps of half its length.
+contact that is closed at :math:`q_m`, or that approaches and would close in the half step after it,
+bounces with its restitution e as in an impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  One
+that stays open until then gets the impulse with which it just closes,
+:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`; so does one without restitution, or whose whole
+flight is within the step.  Friction opposes the slip at the end, and the impulse of dry friction in
+a joint is bounded by ``h`` times its torque.  A solution exists where none of accelerations does:
+an impulse without a collision.  The step is of the first order; its error is estimated from two
+steps of half its length.
 
 References: J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302,
 1988; M. Jean, "The non-smooth contact dynamics method", Comput. Methods Appl. Mech. Eng. 177, 1999;
@@ -35,7 +37,13 @@ from multiarm.contacts.unilateral import DRY_JOINT, Constraint
 from multiarm.dynamics.coordinates import retract
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import require_ok
-from multiarm.events.complementarity import Bounded, ComplementaritySolution, ContactLaw
+from multiarm.events.complementarity import (
+    Bounded,
+    ComplementaritySolution,
+    ContactLaw,
+    ContactMode,
+)
+from multiarm.events.complementarity.problem import rows_of
 from multiarm.events.contact_laws import energy_added, law_of, solve_sides
 from multiarm.events.event_detection import (
     below_patch_constraints,
@@ -243,20 +251,25 @@ class ImpulseStepper:
         """Impulses with the rates at the end, ``free`` without them, and constraints that pull."""
         laws: list[ContactLaw] = []
         shifted = free.copy()
-        for constraint in involved.constraints.values():
+        bouncing: set[int] = set()
+        constraints = list(involved.constraints.values())
+        for number, constraint in enumerate(constraints):
             law, k = law_of(constraint, involved.at, None), involved.at[constraint.row]
             if isinstance(law, Bounded):
                 law = Bounded(k, h * law.lower, h * law.upper)
             elif not constraint.bilateral:
                 gap, rate = involved.gaps[k], involved.before[k]
-                shifted[k] += (
-                    2.0 * gap / h if gap > 0.0 else constraint.restitution * min(rate, 0.0)
-                )
+                closes = gap + 0.5 * h * free[k] < 0.0
+                back = -constraint.restitution * min(rate, 0.0)
+                hits = gap <= 0.0 or (closes and back > 0.0)
+                shifted[k] += -back if hits else 2.0 * gap / h
+                if hits and back > self._rows.rest_rate:
+                    bouncing.add(number)
             laws.append(law)
-        constraints = list(involved.constraints.values())
         solution, pulls = solve_sides(constraints, involved.response, shifted, laws)
         numbers = list(involved.constraints)
-        return solution, frozenset(numbers[k] for k in pulls)
+        pulling = frozenset(numbers[k] for k in pulls)
+        return _opened(solution, laws, bouncing), pulling
 
     def _mode(
         self,
@@ -278,3 +291,13 @@ class ImpulseStepper:
         above = off_patch.union(self._above, by_impulses.states)
         below = below_patch_constraints(self._modes.full, above)
         return Mode(tuple(states), held, pulling, off_patch, below, by_impulses.directions)
+
+
+def _opened(
+    solution: ComplementaritySolution, laws: list[ContactLaw], bouncing: Set[int]
+) -> ComplementaritySolution:
+    """A solution in which contacts that bounce are open: their rows are not held afterwards."""
+    rows = {row for k in bouncing for row in rows_of(laws[k])}
+    modes = [ContactMode.OPEN if k in bouncing else mode for k, mode in enumerate(solution.modes)]
+    active = tuple(row for row in solution.active_rows if row not in rows)
+    return replace(solution, modes=tuple(modes), active_rows=active)

@@ -9,9 +9,12 @@ import pytest
 from event_scenes import GRAVITY, box, on_floor, response_of_rod, rod, run
 
 import multiarm as ma
+from multiarm.dynamics.data import Data
 from multiarm.events import consistent_mode
+from multiarm.events.impulse_steps import ImpulseStepper
 from multiarm.events.modes import Modes
 from multiarm.simulation import event_handling
+from multiarm.simulation.impulse_phase import point_of
 
 
 def jammed(angle: float, speed: float) -> np.ndarray:
@@ -90,3 +93,50 @@ def test_a_box_bounces_in_impulse_steps_alone(without_modes):
     start = np.array([drop, 0.0, 0.0, 0.0])[after]
     height = start + up * since - 0.5 * GRAVITY * since**2
     np.testing.assert_allclose(trajectory.object_position[:, 2] - 0.1, height, atol=2e-5)
+
+
+DROP, MASS = 0.02, 2.0
+
+
+def steps_of(scene, h: float, number: int):
+    """Points of equal impulse steps from the start of a scene, without error control."""
+    system = ma.compile_system(scene)
+    modes = Modes(Data(system.model), 1e-9)
+    modes.bilateral.set_state(0.0, system.initial_state())
+    stepper = ImpulseStepper(modes, frozenset(), frozenset())
+    point = point_of(modes.bilateral, 0.0, np.zeros(modes.bilateral.arrays.effects.power.size))
+    points = [point]
+    for _ in range(number):
+        point = stepper.step(point, h).end
+        points.append(point)
+    return points
+
+
+def flight(t: np.ndarray, e: float) -> np.ndarray:
+    """Height of a body that falls from rest and bounces up to four times [m], by hand."""
+    fall = math.sqrt(2 * DROP / GRAVITY)
+    hits = fall * (1.0 + np.cumsum([0.0, 2.0 * e, 2.0 * e**2, 2.0 * e**3]))
+    after = np.searchsorted(hits, t)
+    assert np.max(after) < 4
+    since = t - np.concatenate([[0.0], hits])[after]
+    up = np.concatenate([[0.0], GRAVITY * fall * e ** np.arange(1, 4)])[after]
+    return np.where(after == 0, DROP, 0.0) + up * since - 0.5 * GRAVITY * since**2
+
+
+@pytest.mark.parametrize(("e", "duration", "hits"), [(0.5, 0.17, 3), (1.0, 0.25, 2)])
+def test_a_box_bounces_with_the_speed_before_the_hit(e, duration, hits):
+    """Newton's law in the step of the hit, whichever half of it the hit is in."""
+    speed = math.sqrt(2 * GRAVITY * DROP)
+    for number in (200, 400, 800, 1600):
+        h = duration / number
+        points = steps_of(on_floor(box(mass=MASS, height=DROP), e), h, number)
+        height = np.array([point.configuration[2] - 0.1 for point in points])
+        error = height - flight(np.array([point.t for point in points]), e)
+        # first order: a hit is at most half a step early or late
+        assert np.max(np.abs(error)) < hits * 0.5 * (1.0 + e) * speed * h
+        v = np.array([point.velocity[2] for point in points])
+        hit = np.flatnonzero((v[:-1] < 0.0) & (v[1:] > 0.0))
+        assert hit.size == hits
+        np.testing.assert_allclose(v[hit + 1], -e * v[hit], rtol=1e-12)
+        energy = MASS * (0.5 * v**2 + GRAVITY * height)
+        assert np.all(np.diff(energy) <= 1e-14)
