@@ -19,6 +19,9 @@ a joint is bounded by ``h`` times its torque.  A solution exists where none of a
 an impulse without a collision.  The step is of the first order; its error is estimated from two
 steps of half its length.
 
+Impulses do the work of their product with the mean of the rates before and after.  That of normal
+impulses counts as the work of impacts, that of tangential ones as friction's.
+
 References: J.J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, CISM 302,
 1988; M. Jean, "The non-smooth contact dynamics method", Comput. Methods Appl. Mech. Eng. 177, 1999;
 V. Acary, B. Brogliato, Numerical Methods for Nonsmooth Dynamical Systems, Springer 2008,
@@ -27,7 +30,7 @@ chapter 10.
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -51,7 +54,13 @@ from multiarm.events.event_detection import (
     pressed_constraints,
 )
 from multiarm.events.mode import Mode
-from multiarm.events.modes import Modes, set_constraint_forces
+from multiarm.events.modes import (
+    CONTACT_FRICTION,
+    DRY_FRICTION,
+    IMPACTS,
+    Modes,
+    set_constraint_forces,
+)
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.events.states_by_forces import StatesByForces
 from multiarm.results.contact_states import ContactState
@@ -90,13 +99,16 @@ class ImpulseStep:
         What the constraints do at its end.
     residual : float
         Of the complementarity problem.
+    impulses : dict
+        Normal impulses of the contacts and stops that pushed in it [N s, N m s], by their numbers.
     touching : set of int
-        Contacts and stops that pushed in it, those that hold both ways, and springs that push.
+        These, contacts that hold both ways, and springs that push.
     """
 
     end: Point
     mode: Mode
     residual: float
+    impulses: Mapping[int, float]
     touching: Set[int]
 
 
@@ -178,21 +190,22 @@ class ImpulseStepper:
         self.put(replace(middle, velocity=velocity))
         # powers of both velocities: their mean is what changes the kinetic energy
         works = start.works + half * (rates.powers + self._evaluate().powers)
-        work = energy_added(solution.forces, involved.before, involved.jacobian @ velocity)
-        works[self._modes.full.model.effects.slot("impacts")] += work
-        works[-1] += work
+        self._add_works(works, involved, solution.forces, involved.jacobian @ velocity)
         configuration = retract(layout, middle.configuration, half * velocity)
         states = start.states + h * rates.of_states
         end = Point(start.t + h, configuration, velocity, states, works)
         self.put(end)
         mode = self._mode(involved, solution, pulling, pressed)
-        touching = pressed | {
-            u
+        normal = {
+            u: float(solution.forces[involved.at[constraint.row]])
             for u, constraint in involved.constraints.items()
-            if constraint.kind != DRY_JOINT
-            and (constraint.bilateral or solution.forces[involved.at[constraint.row]] > 0.0)
+            if constraint.kind != DRY_JOINT and not constraint.bilateral
         }
-        return ImpulseStep(end, mode, solution.residual, touching)
+        impulses = {u: impulse for u, impulse in normal.items() if impulse > 0.0}
+        bilateral = {u for u, constraint in involved.constraints.items() if constraint.bilateral}
+        return ImpulseStep(
+            end, mode, solution.residual, impulses, pressed | impulses.keys() | bilateral
+        )
 
     def put(self, point: Point) -> None:
         """Write a point into the data, with the kinematics of all rows."""
@@ -270,6 +283,23 @@ class ImpulseStepper:
         numbers = list(involved.constraints)
         pulling = frozenset(numbers[k] for k in pulls)
         return _opened(solution, laws, bouncing), pulling
+
+    def _add_works(
+        self, works: np.ndarray, involved: _Involved, impulses: np.ndarray, after: np.ndarray
+    ) -> None:
+        """Add the works of impulses: of friction with its slip, of normal ones to the impacts."""
+        slot = self._modes.full.model.effects.slot
+        for constraint in involved.constraints.values():
+            normal = DRY_FRICTION if constraint.kind == DRY_JOINT else IMPACTS
+            for rows, effect in (
+                ((constraint.row,), normal),
+                (constraint.tangents, CONTACT_FRICTION),
+            ):
+                if rows:
+                    k = [involved.at[row] for row in rows]
+                    work = energy_added(impulses[k], involved.before[k], after[k])
+                    works[slot(effect)] += work
+                    works[-1] += work
 
     def _mode(
         self,

@@ -89,6 +89,8 @@ class RunEvent:
         Before and after.
     turns : bool
         The joint turns.
+    numbers : mapping
+        Named numbers after an event without sides; units end their names.
     """
 
     time: float
@@ -101,6 +103,7 @@ class RunEvent:
     where: tuple[float, ...] | None = None
     sides: tuple[Side, Side] | None = None
     turns: bool = False
+    numbers: Mapping[str, float] | None = None
 
     @property
     def who(self) -> str:
@@ -133,7 +136,9 @@ class RunEvent:
     def entry(self) -> Event:
         """The event as results have it."""
         names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
-        before, after = (None, None) if self.sides is None else map(self._entry_of, self.sides)
+        before, after = None, None if self.numbers is None else dict(self.numbers)
+        if self.sides is not None:
+            before, after = map(self._entry_of, self.sides)
         where = None if self.where is None else list(self.where)
         optional = {"before": before, "after": after, "where": where}
         return {

@@ -37,14 +37,13 @@ from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper
 from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
-from multiarm.events.modes import Modes
+from multiarm.events.modes import IMPACTS, Modes
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project, project_positions
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import PROJECTION, gains, shortest_step
-from multiarm.notation import count_of
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
@@ -255,8 +254,7 @@ class EventHandler:
         t = run.clock.t
         self._log_decision(t, Decision(self.modes.mode, {}, 0.0), phase.ended)
         if phase.steps > 1:  # one only told which mode follows
-            steps, time = count_of(phase.steps, "impulse step"), t - phase.begin
-            self._log.add(RunEvent(t, EventKind.CHATTERS, f"{steps} over {time:.2g} s"))
+            self._log.add(phase.event(self.modes, t))
         self._phase, self._phase_end, self._phase_length = None, t, 4.0 * phase.length
 
     def _take(self, run: Run, step: ImpulseStep) -> bool:
@@ -352,7 +350,7 @@ class EventHandler:
         """Count the energy of an impact among the works."""
         if decision.energy:
             works = self._works(run)
-            works[run.data.model.effects.slot("impacts")] += decision.energy
+            works[run.data.model.effects.slot(IMPACTS)] += decision.energy
             works[-1] += decision.energy
 
     def _continue(self, run: Run) -> None:

@@ -6,18 +6,25 @@ two, and the difference must meet the tolerance of the run.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Set
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from multiarm.contacts.unilateral import LIMIT
 from multiarm.dynamics.coordinates import chart_places, difference
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.solver.bounds import IMPACT_RESIDUAL
 from multiarm.errors import SolverError
 from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper, Point
 from multiarm.events.mode import Mode
+from multiarm.events.modes import Modes
 from multiarm.integration.step_control import shortest_step
 from multiarm.integration.time_loop import sample_time
+from multiarm.notation import count_of
+from multiarm.results.contact_states import ContactState
+from multiarm.results.event_kinds import EventKind
+from multiarm.results.event_log import RunEvent
 from multiarm.simulation.setup import Run
 
 # The first step, as a part of the longest one that has led to an event.
@@ -43,6 +50,10 @@ class ImpulsePhase:
         [s]
     steps : int
         So far.
+    hits : int
+        How often a contact or stop pushed that had not pushed in the half step before.
+    largest : dict
+        The largest normal impulse of such a hit [N s, N m s], by constraint.
     """
 
     stepper: ImpulseStepper
@@ -50,6 +61,12 @@ class ImpulsePhase:
     ended: Mode
     begin: float
     steps: int = 0
+    hits: int = 0
+    largest: dict[int, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        states = enumerate(self.ended.states)
+        self._pushing: Set[int] = {u for u, state in states if state != ContactState.OPEN}
 
     def step(self, run: Run, start: Point, until: float) -> ImpulseStep:
         """Make a step that is accurate enough, at most until a time [s], and then just to it.
@@ -74,9 +91,30 @@ class ImpulsePhase:
                     raise SolverError("no impulses of contacts and stops obey the contact laws")
                 if error <= SMALL_ERROR and h == self.length:
                     self.length = min(2.0 * h, longest)
+                self._count_hits(middle)
+                self._count_hits(end)
                 # rounded times of two halves may end before a sample, which would be left out
                 return end if h < left else replace(end, end=replace(end.end, t=until))
             self.length = 0.25 * h
+
+    def event(self, modes: Modes, t: float) -> RunEvent:
+        """The phase as an event of a run, at the time of its end [s]."""
+        constraints, joints = modes.unilateral.constraints, modes.full.model.joint_units
+        numbers: dict[str, float] = {"hits": self.hits}
+        for u, impulse in self.largest.items():
+            turns = constraints[u].kind == LIMIT and joints[constraints[u].joint] == "rad"
+            name = f"largest_impulse_{'N_m_s' if turns else 'N_s'}"
+            numbers[name] = max(numbers.get(name, 0.0), impulse)
+        steps, time = count_of(self.steps, "impulse step"), t - self.begin
+        words = f"{steps} over {time:.2g} s"
+        return RunEvent(t, EventKind.CHATTERS, words, numbers=numbers)
+
+    def _count_hits(self, step: ImpulseStep) -> None:
+        new = step.impulses.keys() - self._pushing
+        self.hits += len(new)
+        for u in new:
+            self.largest[u] = max(self.largest.get(u, 0.0), step.impulses[u])
+        self._pushing = step.impulses.keys()
 
 
 def point_of(data: Data, t: float, works: np.ndarray) -> Point:
