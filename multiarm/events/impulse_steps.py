@@ -10,14 +10,14 @@ Moreau and Jean.  With :math:`q_m` half a step ahead,
 
 where ``a`` are the accelerations without unilateral contacts, joint stops and dry friction at rest,
 and the impulses ``p`` of these obey their laws with the rates :math:`y = J v^+` at the end.  A
-contact that is closed at :math:`q_m`, or that approaches and would close in the half step after it,
-bounces with its restitution e as in an impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.  One
-that stays open until then gets the impulse with which it just closes,
-:math:`0 \le p_n \perp y_n + 2\varphi(q_m)/h \ge 0`; so does one without restitution, or whose whole
-flight is within the step.  Friction opposes the slip at the end, and the impulse of dry friction in
-a joint is bounded by ``h`` times its torque.  A solution exists where none of accelerations does:
-an impulse without a collision.  The step is of the first order; its error is estimated from two
-steps of half its length.
+contact that approaches and is closed at :math:`q_m`, or would close in the half step after it,
+bounces with its restitution e as in an impact, :math:`0 \le p_n \perp y_n + e\,(J v)_n \ge 0`.
+Without restitution, and where it first leaves, it gets the impulse with which it just closes,
+:math:`0 \le p_n \perp y_n + \max(2\varphi(q_m)/h, (J v)_n) \ge 0`: no faster than it left, so that
+normal impulses add no energy.  Friction opposes the slip at the end, and the impulse of dry
+friction in a joint is bounded by ``h`` times its torque.  A solution exists where none of
+accelerations does: an impulse without a collision.  The step is of the first order; its error is
+estimated from two steps of half its length.
 
 Impulses do the work of their product with the mean of the rates before and after.  That of normal
 impulses counts as the work of impacts, that of tangential ones as friction's.
@@ -47,7 +47,7 @@ from multiarm.events.complementarity import (
     ContactMode,
 )
 from multiarm.events.complementarity.problem import rows_of
-from multiarm.events.contact_laws import energy_added, law_of, solve_sides
+from multiarm.events.contact_laws import ContactProblem, law_of, works_of
 from multiarm.events.event_detection import (
     below_patch_constraints,
     off_patch_constraints,
@@ -88,39 +88,7 @@ class Point:
     works: np.ndarray
 
 
-@dataclass(frozen=True)
-class ImpulseStep:
-    """Result of a step.
-
-    Attributes
-    ----------
-    end : Point
-    mode : Mode
-        What the constraints do at its end.
-    residual : float
-        Of the complementarity problem.
-    impulses : dict
-        Normal impulses of the contacts and stops that pushed in it [N s, N m s], by their numbers.
-    touching : set of int
-        These, contacts that hold both ways, and springs that push.
-    """
-
-    end: Point
-    mode: Mode
-    residual: float
-    impulses: Mapping[int, float]
-    touching: Set[int]
-
-
-class _Rates(NamedTuple):
-    """What changes velocities, states of effects and works, without unilateral constraints."""
-
-    acceleration: np.ndarray
-    of_states: np.ndarray
-    powers: np.ndarray  # [W]
-
-
-class _Involved(NamedTuple):
+class Involved(NamedTuple):
     """The constraints that may have impulses in a step, and their rows in the middle of it.
 
     Attributes
@@ -148,6 +116,62 @@ class _Involved(NamedTuple):
     off_patch: frozenset[int]
 
 
+class SolvedImpulses(NamedTuple):
+    """The impulses of a step, and what they tell of the mode after it.
+
+    Attributes
+    ----------
+    involved : Involved
+    problem : ContactProblem
+    impulses : ndarray
+        Of its rows.
+    pulls : frozenset of int
+        Which of its contacts hold both ways and pull.
+    bouncing : set of int
+        Which of its contacts have just bounced.
+    pressed : set of int
+        Compliant contacts that push.
+    """
+
+    involved: Involved
+    problem: ContactProblem
+    impulses: np.ndarray
+    pulls: frozenset[int]
+    bouncing: Set[int]
+    pressed: Set[int]
+
+
+@dataclass(frozen=True)
+class ImpulseStep:
+    """Result of a step.
+
+    Attributes
+    ----------
+    end : Point
+    residual : float
+        Of the complementarity problem.
+    impulses : dict
+        Normal impulses of the contacts and stops that pushed in it [N s, N m s], by their numbers.
+    touching : set of int
+        These, contacts that hold both ways, and springs that push.
+    solved : SolvedImpulses
+    """
+
+    end: Point
+    residual: float
+    impulses: Mapping[int, float]
+    touching: Set[int]
+    solved: SolvedImpulses
+
+
+class _Rates(NamedTuple):
+    """What changes velocities, states of effects and works, without unilateral constraints."""
+
+    acceleration: np.ndarray
+    of_states: np.ndarray
+    powers: np.ndarray  # [W]
+
+
 class ImpulseStepper:
     """Makes impulse steps of a system; they leave their end in its data.
 
@@ -164,6 +188,8 @@ class ImpulseStepper:
         self._modes, self._rows = modes, RowDynamics(modes)
         self._constraints = modes.unilateral.constraints
         self._off_patch, self._above = off_patch, above
+        # impulses of the step before over its length [N, N m], by row: where the next ones begin
+        self._forces = np.zeros(len(self._rows.gaps))
 
     def step(self, start: Point, h: float) -> ImpulseStep:
         """A step from a point, of length ``h`` [s].
@@ -185,27 +211,47 @@ class ImpulseStepper:
         rates = self._evaluate()
         involved = self._involve(h)
         free = start.velocity + h * rates.acceleration
-        solution, pulling = self._impulses(involved, involved.jacobian @ free, h)
-        velocity = free + involved.moved @ solution.forces
+        problem, bouncing = self._problem(involved, involved.jacobian @ free, h)
+        rows = list(involved.at)
+        impulses, residual, pulls = problem.impulses(near=h * self._forces[rows])
+        self._forces[:] = 0.0
+        self._forces[rows] = impulses / h
+        velocity = free + involved.moved @ impulses
         self.put(replace(middle, velocity=velocity))
         # powers of both velocities: their mean is what changes the kinetic energy
         works = start.works + half * (rates.powers + self._evaluate().powers)
-        self._add_works(works, involved, solution.forces, involved.jacobian @ velocity)
+        self._add_works(works, involved, impulses, involved.jacobian @ velocity)
         configuration = retract(layout, middle.configuration, half * velocity)
         states = start.states + h * rates.of_states
         end = Point(start.t + h, configuration, velocity, states, works)
         self.put(end)
-        mode = self._mode(involved, solution, pulling, pressed)
         normal = {
-            u: float(solution.forces[involved.at[constraint.row]])
+            u: float(impulses[involved.at[constraint.row]])
             for u, constraint in involved.constraints.items()
             if constraint.kind != DRY_JOINT and not constraint.bilateral
         }
-        impulses = {u: impulse for u, impulse in normal.items() if impulse > 0.0}
+        pushing = {u: impulse for u, impulse in normal.items() if impulse > 0.0}
         bilateral = {u for u, constraint in involved.constraints.items() if constraint.bilateral}
-        return ImpulseStep(
-            end, mode, solution.residual, impulses, pressed | impulses.keys() | bilateral
+        solved = SolvedImpulses(involved, problem, impulses, pulls, bouncing, pressed)
+        return ImpulseStep(end, residual, pushing, pressed | pushing.keys() | bilateral, solved)
+
+    def mode_after(self, step: ImpulseStep) -> Mode:
+        """What the constraints do after a step, whose end is in the data."""
+        involved, problem, impulses, pulls, bouncing, pressed = step.solved
+        solution = _opened(problem.at(impulses, pulls), problem.laws, bouncing)
+        by_impulses = StatesByForces(
+            involved.constraints, involved.at, solution, involved.response, {}
         )
+        by_impulses.keep_closed(frozenset())
+        states, rows = self._states_without(pressed), list(involved.at)
+        for u, state in by_impulses.states.items():
+            states[u] = state
+        held = tuple(sorted(rows[k] for k in by_impulses.held))
+        off_patch, numbers = involved.off_patch, list(involved.constraints)
+        above = off_patch.union(self._above, by_impulses.states)
+        below = below_patch_constraints(self._modes.full, above)
+        pulling = frozenset(numbers[k] for k in pulls)
+        return Mode(tuple(states), held, pulling, off_patch, below, by_impulses.directions)
 
     def put(self, point: Point) -> None:
         """Write a point into the data, with the kinematics of all rows."""
@@ -232,7 +278,7 @@ class ImpulseStepper:
             for u in range(len(self._constraints))
         ]
 
-    def _involve(self, h: float) -> _Involved:
+    def _involve(self, h: float) -> Involved:
         """The constraints whose gaps are closed at the point in the data, or may close soon."""
         full = self._modes.full
         off_patch = off_patch_constraints(
@@ -256,15 +302,15 @@ class ImpulseStepper:
         gaps, rates, jacobian = gaps[rows], rates[rows], self._rows.jacobian(rows)
         response, moved = self._rows.response(jacobian, self._modes.bilateral)
         at = {row: k for k, row in enumerate(rows)}
-        return _Involved(constraints, at, gaps, rates, jacobian, response, moved, off_patch)
+        return Involved(constraints, at, gaps, rates, jacobian, response, moved, off_patch)
 
-    def _impulses(
-        self, involved: _Involved, free: np.ndarray, h: float
-    ) -> tuple[ComplementaritySolution, frozenset[int]]:
-        """Impulses with the rates at the end, ``free`` without them, and constraints that pull."""
+    def _problem(
+        self, involved: Involved, free: np.ndarray, h: float
+    ) -> tuple[ContactProblem, Set[int]]:
+        """Of impulses, with the rates ``free`` without them; and contacts that would bounce."""
         laws: list[ContactLaw] = []
         shifted = free.copy()
-        bouncing: set[int] = set()
+        bouncing, rest = set(), self._rows.rest_rate
         constraints = list(involved.constraints.values())
         for number, constraint in enumerate(constraints):
             law, k = law_of(constraint, involved.at, None), involved.at[constraint.row]
@@ -274,53 +320,28 @@ class ImpulseStepper:
                 gap, rate = involved.gaps[k], involved.before[k]
                 closes = gap + 0.5 * h * free[k] < 0.0
                 back = -constraint.restitution * min(rate, 0.0)
-                hits = gap <= 0.0 or (closes and back > 0.0)
-                shifted[k] += -back if hits else 2.0 * gap / h
-                if hits and back > self._rows.rest_rate:
+                hits = rate <= 0.0 and (gap <= 0.0 or (closes and back > 0.0))
+                shifted[k] += -back if hits else max(2.0 * gap / h, rate)
+                if hits and back > rest:
                     bouncing.add(number)
             laws.append(law)
-        solution, pulls = solve_sides(constraints, involved.response, shifted, laws)
-        numbers = list(involved.constraints)
-        pulling = frozenset(numbers[k] for k in pulls)
-        return _opened(solution, laws, bouncing), pulling
+        return ContactProblem(constraints, involved.response, shifted, laws), bouncing
 
     def _add_works(
-        self, works: np.ndarray, involved: _Involved, impulses: np.ndarray, after: np.ndarray
+        self, works: np.ndarray, involved: Involved, impulses: np.ndarray, after: np.ndarray
     ) -> None:
         """Add the works of impulses: of friction with its slip, of normal ones to the impacts."""
-        slot = self._modes.full.model.effects.slot
-        for constraint in involved.constraints.values():
-            normal = DRY_FRICTION if constraint.kind == DRY_JOINT else IMPACTS
-            for rows, effect in (
-                ((constraint.row,), normal),
-                (constraint.tangents, CONTACT_FRICTION),
-            ):
-                if rows:
-                    k = [involved.at[row] for row in rows]
-                    work = energy_added(impulses[k], involved.before[k], after[k])
-                    works[slot(effect)] += work
-                    works[-1] += work
-
-    def _mode(
-        self,
-        involved: _Involved,
-        solution: ComplementaritySolution,
-        pulling: frozenset[int],
-        pressed: Set[int],
-    ) -> Mode:
-        """What the constraints do by their impulses."""
-        by_impulses = StatesByForces(
-            involved.constraints, involved.at, solution, involved.response, {}
+        slot, of_rows = (
+            self._modes.full.model.effects.slot,
+            works_of(impulses, involved.before, after),
         )
-        by_impulses.keep_closed(frozenset())
-        states, rows = self._states_without(pressed), list(involved.at)
-        for u, state in by_impulses.states.items():
-            states[u] = state
-        held = tuple(sorted(rows[k] for k in by_impulses.held))
-        off_patch = involved.off_patch
-        above = off_patch.union(self._above, by_impulses.states)
-        below = below_patch_constraints(self._modes.full, above)
-        return Mode(tuple(states), held, pulling, off_patch, below, by_impulses.directions)
+        for constraint in involved.constraints.values():
+            k = involved.at[constraint.row]
+            works[slot(DRY_FRICTION if constraint.kind == DRY_JOINT else IMPACTS)] += of_rows[k]
+            if constraint.tangents:
+                first, second = (involved.at[row] for row in constraint.tangents)
+                works[slot(CONTACT_FRICTION)] += of_rows[first] + of_rows[second]
+        works[-1] += np.sum(of_rows)
 
 
 def _opened(
