@@ -47,7 +47,7 @@ from multiarm.control.command_derivatives import (
     open_derivatives,
     prepare_command_derivatives,
 )
-from multiarm.control.grip import ANSWERS, Friction, grip_of
+from multiarm.control.grip import ANSWERS, PushingContacts, grip_of
 from multiarm.control.program import ControlContext, ControlProgram, needs_gravity_torque
 from multiarm.dynamics.arrays import CARRYING, COUPLED, LOCAL, open_system
 from multiarm.dynamics.contact_forces import add_joint_forces, uncarried_wrench
@@ -81,7 +81,7 @@ class CarryingWork(NamedTuple):
 
 
 open_carrying = view_of_work(CarryingWork)
-open_friction = view_of_law(Friction)
+open_contacts = view_of_law(PushingContacts)
 
 
 @cfunc
@@ -109,7 +109,7 @@ def gravity_compensation_by_friction(address, size, at, _t):
     torque, weight = data.control.torque, data.control.object_wrench
     clear(weight)
     add_weights(model, weight)
-    answer = carry_by_friction(open_friction(struct, at), weight, data.rows)
+    answer = carry_by_friction(open_contacts(struct, at), weight, data.rows)
     for j in range(torque.size):
         torque[j] += data.control.gravity_torque[j]
     add_joint_forces(work, work.W, data.rows.static_force, -1.0, torque)
@@ -286,7 +286,7 @@ def carrying_grip(
     grip = grip_of(control, context) if carries else None
     if grip is None:
         return carrying_laws(context), False
-    law = ControlLaw(gravity_compensation_by_friction, grip.friction, answers=ANSWERS)
+    law = ControlLaw(gravity_compensation_by_friction, grip.contacts, answers=ANSWERS)
     return (law,), True
 
 

@@ -18,7 +18,11 @@ from multiarm.control.program import ControlContext
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
-from multiarm.dynamics.forces.friction import BEYOND_FRICTION, distribute_within_friction
+from multiarm.dynamics.forces.friction import (
+    BEYOND_FRICTION,
+    NOT_CONVERGED,
+    distribute_within_friction,
+)
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.status import OK
 from multiarm.errors import ControlError
@@ -47,12 +51,17 @@ ANSWERS = {
         "no forces within the friction of the contacts exert the wrench that the control commands; "
         "take a slower path or smaller gains, more friction or a smaller `friction_margin`, or "
         "fingertips that press from more sides"
-    )
+    ),
+    NOT_CONVERGED: (
+        "the forces within the friction of the contacts were not found: the wrench that the "
+        "control commands is at the limit of what they can exert; take more friction, a smaller "
+        "`friction_margin` or a slower path"
+    ),
 }
 """What laws that count friction answer."""
 
 
-class Friction(NamedTuple):
+class PushingContacts(NamedTuple):
     """Contacts that only push, for laws; none where these do not count friction."""
 
     pushing: Ints1  # (C,) rows of the normals; the tangents of one with friction follow
@@ -68,21 +77,21 @@ class Grip:
     ----------
     context : ControlContext
         With the rows that the law sees.
-    friction : Friction
+    contacts : PushingContacts
     """
 
     context: ControlContext
-    friction: Friction
+    contacts: PushingContacts
 
     @property
     def counts_friction(self) -> bool:
         """Whether the law counts friction."""
-        return bool(self.friction.pushing.size)
+        return bool(self.contacts.pushing.size)
 
     @property
     def tangents(self) -> frozenset[int]:
         """Rows of the tangents of contacts that only push."""
-        pushing, friction = self.friction.pushing, self.friction.friction
+        pushing, friction = self.contacts.pushing, self.contacts.friction
         return frozenset((pushing[friction > 0.0, None] + [1, 2]).ravel().tolist())
 
 
@@ -103,7 +112,7 @@ def grip_of(control: GrippingControl, context: ControlContext, moved: Sequence[s
     needed = context.can_grip and any(free_directions(_started(context), name) for name in moved)
     if control.friction_margin is None and not needed:
         _require_hold(_started(context), moved, control.kind)
-        return Grip(context, Friction(np.zeros(0, dtype=np.int64), np.zeros(0), 0.0))
+        return Grip(context, PushingContacts(np.zeros(0, dtype=np.int64), np.zeros(0), 0.0))
     context = context.counting_friction()
     data = _started(context)
     _require_hold(data, data.model.layout.objects, control.kind)
@@ -114,9 +123,9 @@ def grip_of(control: GrippingControl, context: ControlContext, moved: Sequence[s
             "leave `friction_margin` out, or give the joint a drive"
         )
     margin = MARGIN if control.friction_margin is None else control.friction_margin
-    friction = _friction(control, context, margin)
-    _require_friction(control.kind, data, friction, margin)
-    return Grip(context, friction)
+    contacts = _pushing_contacts(control, context, margin)
+    _require_friction(control.kind, data, contacts, margin)
+    return Grip(context, contacts)
 
 
 def _started(context: ControlContext) -> Data:
@@ -151,7 +160,9 @@ def _require_hold(data: Data, moved: Sequence[str], kind: str) -> None:
             )
 
 
-def _friction(control: GrippingControl, context: ControlContext, margin: float) -> Friction:
+def _pushing_contacts(
+    control: GrippingControl, context: ControlContext, margin: float
+) -> PushingContacts:
     model, unilateral = context.data.model, context.full.model.unilateral
     assert unilateral is not None, "some contacts can grip"
     coefficients = {
@@ -166,22 +177,32 @@ def _friction(control: GrippingControl, context: ControlContext, margin: float) 
     weight = gravity * float(np.sum(model.constants.object_masses))
     least = control.squeeze or LEAST_PART * weight / len(pushing)
     friction = [(1.0 - margin) * coefficients.get(row, 0.0) for row in pushing]
-    return Friction(np.array(pushing, dtype=np.int64), np.array(friction), least)
+    return PushingContacts(np.array(pushing, dtype=np.int64), np.array(friction), least)
 
 
-def _require_friction(kind: str, data: Data, friction: Friction, margin: float) -> None:
+def _require_friction(kind: str, data: Data, contacts: PushingContacts, margin: float) -> None:
     """Refuse contacts that cannot carry the weight within friction."""
     wrench = np.zeros(data.model.layout.node)
     constants = data.model.constants
     for o, mass in enumerate(constants.object_masses):
         wrench[6 * o : 6 * o + 3] = -mass * constants.gravity
 
-    def carries(more: float) -> bool:
-        forces = friction._replace(friction=more * friction.friction)
-        return forces_within_friction(data.arrays.rows.W_o, wrench, forces) is not None
+    W_o = data.arrays.rows.W_o
+    none, force = np.zeros((2, len(W_o)))
 
-    if carries(1.0):
+    def answer(more: float) -> int:
+        return distribute_within_friction(
+            wrench, W_o, contacts.pushing, more * contacts.friction, contacts.least, none, force
+        )
+
+    def carries(more: float) -> bool:
+        return answer(more) == OK
+
+    as_it_is = answer(1.0)
+    if as_it_is == OK:
         return
+    if as_it_is == NOT_CONVERGED:
+        raise ControlError(f"control: {kind} holds by friction; at the start {ANSWERS[as_it_is]}")
     what = "carry the weight" if np.any(wrench) else "press against each other"
     text = (
         f"control: {kind} holds by friction, but no forces within it, less `friction_margin: "
@@ -196,22 +217,10 @@ def _require_friction(kind: str, data: Data, friction: Friction, margin: float) 
     while high - low > FRICTION_PART * low:
         middle = np.sqrt(low * high)
         low, high = (low, middle) if carries(middle) else (middle, high)
-    largest = float(np.max(friction.friction)) / (1.0 - margin)
+    largest = float(np.max(contacts.friction)) / (1.0 - margin)
     smaller = 1.0 - (1.0 - margin) * high
     margins = f", or a margin of at most {max(smaller - 5e-3, 0.0):.2f}" if smaller > 0.01 else ""
     raise ControlError(
         f"{text}; it takes {high:.3g} times the friction, such as {high * largest:.3g} in place of "
         f"{largest:.3g}{margins}, or fingertips that press from opposite sides"
     )
-
-
-def forces_within_friction(
-    W_o: np.ndarray, wrench: np.ndarray, friction: Friction, desired: np.ndarray | None = None
-) -> np.ndarray | None:
-    """The forces of the law (N,), or None where there are none; ``W_o`` (N, 6 K)."""
-    force = np.zeros(len(W_o))
-    wished = np.zeros(len(W_o)) if desired is None else desired
-    status = distribute_within_friction(
-        wrench, W_o, friction.pushing, friction.friction, friction.least, wished, force
-    )
-    return force if status == OK else None

@@ -183,7 +183,7 @@ def write_contact_forces(law, model, data, work):
     """Distribute the wrenches on objects over the contacts; writes ``data.rows.static_force``.
 
     After all other torques, which contact forces take over from passive joints.  Returns ``OK``,
-    or ``BEYOND_FRICTION``.
+    or as :func:`multiarm.dynamics.forces.friction.distribute_within_friction`.
     """
     wrench, rows = data.control.object_wrench, data.rows
     if law.pushing.size > 0:
@@ -311,7 +311,7 @@ def object_law(control: ObjectControl, grip: Grip, paths: Mapping[str, PosePath]
         control.relative_damping,
         control.relative_stiffness,
         any(np.any(forces) for forces in desired[:2]),
-        *grip.friction,
+        *grip.contacts,
         *desired,
         *PosePaths.of([*paths.values()]),
     )

@@ -44,6 +44,8 @@ from multiarm.results.contact_states import ContactState
 
 # Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
+# Effects whose works are those of impulses and of sliding friction.
+IMPACTS, CONTACT_FRICTION = "impacts", "contact_friction"
 # How states are recorded.
 _RECORDED = np.array([float(state.recorded) for state in ContactState])
 
@@ -371,7 +373,7 @@ def _reactions(full: Data, data: Data) -> ReactionWork:
 def _power_of_friction(full: Data) -> int:
     """Place of the power of sliding friction; without the effect, of one that stays zero."""
     effects = full.model.effects
-    return effects.slot("contact_friction" if "contact_friction" in effects.works else "impacts")
+    return effects.slot(CONTACT_FRICTION if CONTACT_FRICTION in effects.works else IMPACTS)
 
 
 def set_constraint_forces(full: Data, states: Sequence[ContactState]) -> None:

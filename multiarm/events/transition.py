@@ -36,7 +36,7 @@ from multiarm.events.complementarity import (
     ContactLaw,
     Verdict,
 )
-from multiarm.events.contact_laws import energy_added, law_of, solve_sides
+from multiarm.events.contact_laws import ContactProblem, energy_added, law_of
 from multiarm.events.event_detection import below_patch_constraints
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes, set_constraint_forces
@@ -286,7 +286,7 @@ class Transition:
             for u, e in elastic.items():
                 k = at[self._constraints[u].row]
                 shifted[k] += share * e * before[k]
-            solution, _ = solve_sides(self._of(involved), response, shifted, laws)
+            solution, _ = ContactProblem(self._of(involved), response, shifted, laws).solve()
             after = before + response @ solution.forces
             reached = 0.5 * abs(before) @ abs(solution.forces)
             if energy_added(solution.forces, before, after) <= ROUNDED_ENERGY * reached:
@@ -448,7 +448,7 @@ class Transition:
         free[np.abs(free) < NO_ACCELERATION] = 0.0
         without = [at[row] for row in fixed.intersection(rows)]
         free[without] = response[without] = response[:, without] = 0.0
-        solution, pulls = solve_sides(self._of(involved), response, free, laws)
+        solution, pulls = ContactProblem(self._of(involved), response, free, laws).solve()
         return solution, response, frozenset(involved[k] for k in pulls)
 
     def _of(self, numbers: list[int]) -> list[Constraint]:

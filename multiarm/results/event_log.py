@@ -95,6 +95,8 @@ class RunEvent:
         Of a joint that takes hold or lets go, on its second body, as its wrench [N s, N m s].
     energy_loss : float or None
         By it [J].
+    numbers : mapping
+        Named numbers after an event without sides; units end their names.
     """
 
     time: float
@@ -109,6 +111,7 @@ class RunEvent:
     turns: bool = False
     impulse: tuple[float, ...] | None = None
     energy_loss: float | None = None
+    numbers: Mapping[str, float] | None = None
 
     @property
     def who(self) -> str:
@@ -141,7 +144,9 @@ class RunEvent:
     def entry(self) -> Event:
         """The event as results have it."""
         names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
-        before, after = (None, None) if self.sides is None else map(self._entry_of, self.sides)
+        before, after = None, None if self.numbers is None else dict(self.numbers)
+        if self.sides is not None:
+            before, after = map(self._entry_of, self.sides)
         where = None if self.where is None else list(self.where)
         impulse = None if self.impulse is None else list(self.impulse)
         optional: dict[str, Any] = {"before": before, "after": after, "where": where}

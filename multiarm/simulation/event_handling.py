@@ -42,7 +42,7 @@ from multiarm.events.impulse_steps import ImpulseStep, ImpulseStepper
 from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
-from multiarm.events.modes import Modes
+from multiarm.events.modes import IMPACTS, Modes
 from multiarm.events.taking_hold import TakingHold, hold_at, require_reach
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
@@ -50,7 +50,6 @@ from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project, project_positions
 from multiarm.integration.step import begin_chart, write_slope
 from multiarm.integration.step_control import PROJECTION, gains, shortest_step
-from multiarm.notation import count_of
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
@@ -131,7 +130,8 @@ class EventHandler:
         self._times: deque[float] = deque(maxlen=ACCUMULATED)
         self._schedule = JointSchedule(self.modes.unilateral, 0.0)
         self._phase: ImpulsePhase | None = None
-        self._phase_end, self._phase_length = -np.inf, np.inf  # of the last one, and its steps
+        # of the last one: its end, the length of its steps, and how long it was
+        self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
 
     # --- beginning --------------------------------------------------------------------------------
 
@@ -263,11 +263,12 @@ class EventHandler:
         if decision.hits and not decision.undecided:
             self._log_decision(t, decision, before)
             before = decision.mode
-        length = FIRST_SHARE * self._usual_length
+        length, least = FIRST_SHARE * self._usual_length, 0.0
         if t - self._phase_end < self._usual_length:  # the same chatter goes on
-            length = min(length, self._phase_length)
+            length = min(length, 4.0 * self._phase_length)
+            least = min(2.0 * self._phase_time, self._usual_length)
         stepper = ImpulseStepper(self.modes, participants.off_patch, participants.touching)
-        self._phase = ImpulsePhase(stepper, length, before, t)
+        self._phase = ImpulsePhase(stepper, length, before, t, least)
         return self._make_impulse_steps(run, self._phase)
 
     # --- timed joints -----------------------------------------------------------------------------
@@ -347,17 +348,19 @@ class EventHandler:
     def _make_impulse_steps(self, run: Run, phase: ImpulsePhase) -> str:
         """Go on in impulse steps until a mode holds, or the loop has something to do."""
         until, begin = min(pause_of(run), self._schedule.next_time(run.clock.t)), run.clock.t
-        for _ in range(IMPULSE_STEPS if until > begin else 0):
+        first = phase.steps
+        while run.clock.t < until and phase.steps - first < IMPULSE_STEPS:
             start = point_of(run.data, run.clock.t, self._works(run))
             step = phase.step(run, start, until)
-            self.impulse_steps, phase.steps = self.impulse_steps + 1, phase.steps + 1
-            self.residual = max(self.residual, step.residual)
-            if self._take(run, step):
+            self._take(run, step, phase.stepper.mode_after(step))
+            lasts = phase.lasts(run.clock.t)
+            # what is written at a pause needs a mode whose forces obey the laws
+            if (run.clock.t >= until or not lasts) and self._hold(run, step) and not lasts:
                 self._end_phase(run, phase)
                 break
             run.clock.stop = run.clock.t  # there the loop returns when it has written what is due
-            if run.clock.t >= until:
-                break
+        self.impulse_steps += phase.steps - first
+        self.residual = max(self.residual, phase.residual)
         self.impulse_time += run.clock.t - begin
         return ""
 
@@ -366,26 +369,30 @@ class EventHandler:
         t = run.clock.t
         self._log_decision(t, Decision(self.modes.mode, {}, 0.0), phase.ended)
         if phase.steps > 1:  # one only told which mode follows
-            steps, time = count_of(phase.steps, "impulse step"), t - phase.begin
-            self._log.add(RunEvent(t, EventKind.CHATTERS, f"{steps} over {time:.2g} s"))
-        self._phase, self._phase_end, self._phase_length = None, t, 4.0 * phase.length
+            self._log.add(phase.event(self.modes, t))
+        self._phase, self._phase_end, self._phase_length = None, t, phase.length
+        self._phase_time = t - phase.begin
 
-    def _take(self, run: Run, step: ImpulseStep) -> bool:
-        """Continue from the end of an impulse step; whether a mode holds there."""
+    def _take(self, run: Run, step: ImpulseStep, mode: Mode) -> None:
+        """Continue from the end of an impulse step in a mode."""
         run.clock.t = step.end.t
         self._works(run)[:] = step.end.works
-        self._close_gaps(run, step.mode)
-        self.modes.enter(step.mode)
+        self._close_gaps(run, mode)
+        self.modes.enter(mode)
         self._continue(run)
+
+    def _hold(self, run: Run, step: ImpulseStep) -> bool:
+        """Whether the mode after an impulse step holds, or another one that is entered for it."""
         if not self.modes.contradicted:
             return True
         self._load(run)
-        participants = Participants(step.touching, off_patch=step.mode.off_patch)
+        mode = self.modes.mode
+        participants = Participants(step.touching, off_patch=mode.off_patch)
         decision = self._decide(run.clock.t, participants)
         self._add_impact(run, decision)
         decision, holds = enter_consistent_mode(self.modes, decision)
         if decision.undecided:
-            self.modes.enter(step.mode)
+            self.modes.enter(mode)
         self._continue(run)
         return holds
 
@@ -467,7 +474,7 @@ class EventHandler:
         """Count energy [J] among the works of impacts."""
         if energy:
             works = self._works(run)
-            works[self.modes.full.model.effects.slot("impacts")] += energy
+            works[self.modes.full.model.effects.slot(IMPACTS)] += energy
             works[-1] += energy
 
     def _continue(self, run: Run) -> None:
@@ -517,8 +524,13 @@ class EventHandler:
         )
 
     def _accumulate(self, t: float) -> bool:
-        """Count an event; whether the last ones came so fast that they would not end."""
+        """Count an event; whether the last ones came so fast that they would not end.
+
+        So does one within an impulse step after the last of these.
+        """
         self._times.append(t)
+        if t - self._phase_end < self._phase_length < np.inf:
+            return True
         since = t - self._times[0]
         return len(self._times) == ACCUMULATED and since < ACCUMULATION * self._usual_length
 

@@ -11,6 +11,7 @@ from refusals import assert_wording, refused
 from repository import SCENES
 
 import multiarm as ma
+from multiarm.control.grip import ANSWERS
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.failures import require_ok
 from multiarm.errors import ControlError, SceneError, SolverError
@@ -236,7 +237,8 @@ def test_more_than_friction_can_is_said_where_it_is_asked_for():
     path = [{"time": 0.05, "xyz": [0, 0, 0.5]}, {"time": 0.3, **jump}]
     system = compiled(computed_torque(path=path, friction_margin=0.5), mu=0.3, tilt=-30.0)
     run = ma.simulate(system, duration=0.3, accuracy=1e-6)
-    assert run.status == "failed" and str(caught.value) in run.message
+    # just beyond the limit neither forces are found nor a proof that there are none
+    assert run.status == "failed" and any(answer in run.message for answer in ANSWERS.values())
     (failure,) = re.findall(r"at t = ([\d.]+) s", run.message)
     assert 0.05 < float(failure) < 0.1
     assert run.statistics["contact_events"] == 0

@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from multiarm.dynamics.forces.friction import BEYOND_FRICTION, distribute_within_friction
+from multiarm.dynamics.forces.friction import (
+    BEYOND_FRICTION,
+    NOT_CONVERGED,
+    distribute_within_friction,
+)
 from multiarm.dynamics.status import OK
 
 clarabel = pytest.importorskip("clarabel")
@@ -198,3 +202,21 @@ def test_the_margin_of_a_contact_far_inside_or_outside_its_cone_is_kept_to_round
         assert force is not None
         assert np.all(cones_left(grip, force) > 0.0)
         assert np.abs(W_o.T @ force - wrench).max() < 1e-10 * max(size, 1.0)
+
+
+def test_what_is_not_found_is_not_taken_for_proven_to_be_beyond_friction():
+    """Two contacts do not turn an object about the line between them."""
+    places = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    rows = []
+    for place in places:
+        normal = -2.0 * place
+        axes = [normal, [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+        rows += [[*axis, *np.cross(place, axis)] for axis in axes]
+    W_o, pushing, friction = np.array(rows), np.array([0, 3]), np.full(2, 0.5)
+    assert np.linalg.matrix_rank(W_o) == 5
+
+    def answer(wrench):
+        force, none = np.zeros((2, 6))
+        return distribute_within_friction(wrench, W_o, pushing, friction, LEAST, none, force)
+
+    assert answer(np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])) == NOT_CONVERGED

@@ -7,7 +7,16 @@ import pytest
 from laws import box, frictions, pushes, random_rows, violation
 from pressed import pressed_box
 
-from multiarm.events.complementarity import Bounded, ContactMode, Friction, Sliding, Verdict, solve
+from multiarm.events.complementarity import (
+    Bounded,
+    ContactMode,
+    Friction,
+    Sliding,
+    Verdict,
+    describe,
+    find_impulses,
+    solve,
+)
 from multiarm.events.complementarity.problem import build
 from multiarm.events.complementarity.solution import Motion, all_solutions, uniqueness
 from multiarm.events.complementarity.solvers import iterate, newton
@@ -156,14 +165,15 @@ def test_redundant_fingertips_have_a_motion():
         assert solution.verdict is not Verdict.NONE and solution.residual < 1e-9
 
 
-def test_forces_of_the_mode_before_choose_among_several_motions():
-    D, b = rod(np.radians(60.0)), [0.1, 1.0, 0.0]
+def test_impulses_are_those_near_to_others_and_are_described_without_a_search():
+    D, b = rod(np.radians(60.0)), np.array([0.1, 1.0, 0.0])
     laws = [Friction(0, (1, 2), 2.0)]
-    stays = next(
-        motion
-        for motion in solve(D, b, laws).alternatives
-        if motion.modes == (ContactMode.STICKING,)
-    )
-    again = solve(D, b, laws, near=stays.forces)
-    assert again.verdict is Verdict.SEVERAL and again.modes == (ContactMode.STICKING,)
-    np.testing.assert_allclose(again.forces, stays.forces, rtol=1e-10)
+    several = solve(D, b, laws)
+    assert several.verdict is Verdict.SEVERAL
+    for motion in [several, *several.alternatives]:
+        impulses, residual = find_impulses(D, b, laws, motion.forces)
+        assert residual < 1e-12
+        np.testing.assert_allclose(impulses, motion.forces, rtol=1e-10)
+        again = describe(D, b, laws, impulses)
+        assert again.verdict is Verdict.FOUND and again.modes == motion.modes
+        np.testing.assert_allclose(again.forces, motion.forces, rtol=1e-10)

@@ -6,12 +6,28 @@ import math
 
 import numpy as np
 import pytest
-from event_scenes import GRAVITY, box, on_floor, response_of_rod, rod, run
+from event_scenes import (
+    AS_WRITTEN,
+    AWAY,
+    AWAY_HEIGHT,
+    GRAVITY,
+    arm,
+    ball,
+    box,
+    on_floor,
+    response_of_rod,
+    rod,
+    run,
+    scene,
+)
 
 import multiarm as ma
+from multiarm.dynamics.data import Data
 from multiarm.events import consistent_mode
+from multiarm.events.impulse_steps import ImpulseStepper
 from multiarm.events.modes import Modes
 from multiarm.simulation import event_handling
+from multiarm.simulation.impulse_phase import point_of
 
 
 def jammed(angle: float, speed: float) -> np.ndarray:
@@ -38,22 +54,33 @@ def test_a_rod_that_jams_has_the_impulse_that_ends_its_slip(angle):
 
 
 def test_by_choice_a_rod_that_jams_stops_the_run():
-    scene = rod(1.0, 2.0, -3.0)
-    stopping = scene.run.model_copy(update={"painleve": "stop"})
+    jamming = rod(1.0, 2.0, -3.0)
+    stopping = jamming.run.model_copy(update={"painleve": "stop"})
     with pytest.raises(ma.errors.SolverError, match="Painleve"):
-        run(scene.model_copy(update={"run": stopping}), 0.05)
+        run(jamming.model_copy(update={"run": stopping}), 0.05)
 
 
 @pytest.fixture
 def without_modes(monkeypatch):
     """No mode ever holds: from its first event on a run makes impulse steps only."""
+    hold_modes_from(math.inf, monkeypatch)
 
-    def never(modes, decision, ended=None):
-        found, _ = consistent_mode.enter_consistent_mode(modes, decision, ended)
-        return found, False
 
-    monkeypatch.setattr(event_handling, "enter_consistent_mode", never)
-    monkeypatch.setattr(Modes, "contradicted", property(lambda modes: True))
+def hold_modes_from(time: float, monkeypatch) -> None:
+    """No mode holds before a time [s]."""
+    contradicted = Modes.contradicted.fget
+
+    def early(modes):
+        return modes.bilateral.arrays.time.now < time
+
+    def enter(modes, decision, ended=None):
+        found, holds = consistent_mode.enter_consistent_mode(modes, decision, ended)
+        return found, holds and not early(modes)
+
+    monkeypatch.setattr(event_handling, "enter_consistent_mode", enter)
+    monkeypatch.setattr(
+        Modes, "contradicted", property(lambda modes: early(modes) or contradicted(modes))
+    )
 
 
 def slide(accuracy: float):
@@ -90,3 +117,92 @@ def test_a_box_bounces_in_impulse_steps_alone(without_modes):
     start = np.array([drop, 0.0, 0.0, 0.0])[after]
     height = start + up * since - 0.5 * GRAVITY * since**2
     np.testing.assert_allclose(trajectory.object_position[:, 2] - 0.1, height, atol=2e-5)
+
+
+DROP, MASS = 0.02, 2.0
+
+
+def steps_of(a_scene, h: float, number: int):
+    """Points of equal impulse steps from the start of a scene, without error control."""
+    system = ma.compile_system(a_scene)
+    modes = Modes(Data(system.model), 1e-9)
+    modes.bilateral.set_state(0.0, system.initial_state())
+    stepper = ImpulseStepper(modes, frozenset(), frozenset())
+    point = point_of(modes.bilateral, 0.0, np.zeros(modes.bilateral.arrays.effects.power.size))
+    points = [point]
+    for _ in range(number):
+        point = stepper.step(point, h).end
+        points.append(point)
+    return points
+
+
+def flight(t: np.ndarray, e: float) -> np.ndarray:
+    """Height of a body that falls from rest and bounces up to four times [m], by hand."""
+    fall = math.sqrt(2 * DROP / GRAVITY)
+    hits = fall * (1.0 + np.cumsum([0.0, 2.0 * e, 2.0 * e**2, 2.0 * e**3]))
+    after = np.searchsorted(hits, t)
+    assert np.max(after) < 4
+    since = t - np.concatenate([[0.0], hits])[after]
+    up = np.concatenate([[0.0], GRAVITY * fall * e ** np.arange(1, 4)])[after]
+    return np.where(after == 0, DROP, 0.0) + up * since - 0.5 * GRAVITY * since**2
+
+
+@pytest.mark.parametrize(("e", "duration", "hits"), [(0.5, 0.17, 3), (1.0, 0.25, 2)])
+def test_a_box_bounces_with_the_speed_before_the_hit(e, duration, hits):
+    """Newton's law in the step of the hit, whichever half of it the hit is in."""
+    speed = math.sqrt(2 * GRAVITY * DROP)
+    for number in (200, 400, 800, 1600):
+        h = duration / number
+        points = steps_of(on_floor(box(mass=MASS, height=DROP), e), h, number)
+        height = np.array([point.configuration[2] - 0.1 for point in points])
+        error = height - flight(np.array([point.t for point in points]), e)
+        # first order: a hit is at most half a step early or late
+        assert np.max(np.abs(error)) < hits * 0.5 * (1.0 + e) * speed * h
+        v = np.array([point.velocity[2] for point in points])
+        hit = np.flatnonzero((v[:-1] < 0.0) & (v[1:] > 0.0))
+        assert hit.size == hits
+        np.testing.assert_allclose(v[hit + 1], -e * v[hit], rtol=1e-12)
+        energy = MASS * (0.5 * v**2 + GRAVITY * height)
+        assert np.all(np.diff(energy) <= 1e-14)
+
+
+def test_a_phase_says_how_often_and_how_hard_contacts_hit(monkeypatch):
+    """The second and the third bounce of a box on its four corners are in a phase."""
+    hold_modes_from(0.165, monkeypatch)
+    trajectory = run(on_floor(box(mass=MASS, height=DROP), 0.5), 0.17, accuracy=1e-5)
+    assert trajectory.status == "completed"
+    chatters = [event for event in trajectory.events if event["kind"] == "chatters"]
+    assert [event["after"]["hits"] for event in chatters] == [8]
+    speed = 0.5 * math.sqrt(2 * GRAVITY * DROP)
+    of_corner = MASS * 1.5 * speed / 4
+    assert chatters[0]["after"]["largest_impulse_N_s"] == pytest.approx(of_corner, rel=1e-3)
+
+
+def test_friction_and_impacts_do_their_own_works(without_modes):
+    trajectory = slide(1e-6)
+    works = trajectory.effect_works
+    hit = math.sqrt(2 * 1e-3 * GRAVITY)
+    speed = 0.4 - 0.2 * hit  # what friction does in the impact at the first event is the impact's
+    lost = 0.5 * MASS * (hit**2 + 0.4**2 - speed**2)
+    assert works["contact_friction"][-1] == pytest.approx(-0.5 * MASS * speed**2, rel=1e-6)
+    assert works["impacts"][-1] == pytest.approx(-lost, rel=1e-6)
+    assert np.ptp(trajectory.energy_balance) < 1e-6
+
+
+def test_dry_friction_of_a_joint_does_the_work_that_stops_it():
+    cart = arm("x", velocity=[0.3], mass=1.5, base={"xyz": [0, 0, AWAY_HEIGHT]})
+    friction = {"torque": 2.0, "model": "set_valued"}
+    effects = {"unilateral_contacts": AS_WRITTEN, "joint_friction": friction}
+    points = steps_of(
+        scene(ball(), {"cart": cart}, {"cart": [AWAY]}, effects, gravity=[0, 0, 0]), 1e-3, 300
+    )
+    assert abs(points[-1].velocity[-1]) < 1e-12
+    # of the joint's friction, of impacts, and of both
+    expected = -0.5 * 1.5 * 0.3**2 * np.array([1.0, 0.0, 1.0])
+    np.testing.assert_allclose(points[-1].works, expected, atol=1e-12)
+
+
+def test_a_contact_that_stays_closed_does_not_hit(monkeypatch):
+    hold_modes_from(0.1, monkeypatch)
+    chatters = [event for event in slide(1e-6).events if event["kind"] == "chatters"]
+    assert [event["after"] for event in chatters] == [{"hits": 0}]

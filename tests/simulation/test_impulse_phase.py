@@ -16,7 +16,7 @@ class _OnlyTime:
     def step(self, start: Point, h: float) -> ImpulseStep:
         nothing = np.zeros(0)
         point = Point(start.t + h, nothing, nothing, nothing, nothing)
-        return ImpulseStep(point, Mode((), ()), 0.0, frozenset())
+        return ImpulseStep(point, 0.0, {}, frozenset(), solved=None)
 
 
 @pytest.mark.parametrize("sample", range(1, 60))

@@ -32,7 +32,8 @@ It starts from y = 0 at every evaluation, so that the forces depend on the state
 
 *No forces.*  A twist y with :math:`y^T w > 0` on which no forces within the cones do work,
 :math:`(W_o y)_n \le -\mu |(W_o y)_t|`, proves that the cones do not have the wrench (Farkas).
-Newton's steps grow along such a twist.
+Newton's steps grow along such a twist.  Where they end before it is exact, the dual function there
+proves it for all forces but huge ones: it is less than half of their square.
 """
 
 from __future__ import annotations
@@ -46,8 +47,8 @@ from multiarm.dynamics.solver.factors import backward, factor_cholesky, forward,
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import allocating, clear, copy, kernel
 
-# Answer of laws whose forces would be outside the cones of friction.
-BEYOND_FRICTION = 1
+# Answers of laws: no forces within the cones exert the wrench, as is proven; or none were found.
+BEYOND_FRICTION, NOT_CONVERGED = 1, 2
 # Newton's steps: 5 to 15 usually, some 40 where cones barely have the wrench.
 MOST_STEPS = 100
 # Steps of the equation of one contact: 3 to 6 usually.
@@ -59,8 +60,12 @@ CONVERGED, NEARLY_CONVERGED = 1e-26, 1e-18
 SOLVED = 1e-14
 # Shorter steps along a line bring nothing.
 SHORTEST_STEP = 1e-6
+# A dual function of so many squares of the wrench: forces are larger than a hundred wrenches.
+BEYOND = 1e4
 # Part of the proof that no forces exert a wrench that counts as rounding.
 PROVEN = 1e-9
+# Rate at which a twist opens a contact, as a part of it, that is not rounding.
+OPENS = 1e-6
 
 
 @allocating
@@ -85,7 +90,9 @@ def distribute_within_friction(wrench, W_o, pushing, friction, least, desired, f
 
     Returns
     -------
-    ``OK``, or ``BEYOND_FRICTION`` where no forces within the cones exert the wrench.
+    ``OK``; ``BEYOND_FRICTION`` where it is proven that no forces within the cones exert the wrench;
+    ``NOT_CONVERGED`` where neither is found: the wrench is at the limit of the cones, or ``W_o``
+    has not the full rank.
     """
     N, size, C = W_o.shape[0], wrench.size, pushing.size
     W, target, scale = np.empty((N, size)), np.empty(size), np.empty(size)
@@ -100,7 +107,7 @@ def distribute_within_friction(wrench, W_o, pushing, friction, least, desired, f
         scaled += target[l] * target[l]
         for k in range(N):
             W[k, l] = scale[l] * W_o[k, l]
-    status, slope, before = BEYOND_FRICTION, 0.0, math.inf
+    status, slope, before = NOT_CONVERGED, 0.0, math.inf
     for iteration in range(MOST_STEPS):
         length = 1.0
         while True:
@@ -134,10 +141,25 @@ def distribute_within_friction(wrench, W_o, pushing, friction, least, desired, f
             break
         before = -slope
         if is_beyond(W, y, target, pushing, friction):
+            status = BEYOND_FRICTION
             break
+    dual = dual_value(y, gradient, desired, least, force)
+    if status == NOT_CONVERGED and dual > BEYOND * scaled:
+        status = BEYOND_FRICTION
     for k in range(N):
         force[k] *= least
     return status
+
+
+@kernel
+def dual_value(y, gradient, desired, least, force):
+    """The dual function without the logarithms, in units of ``least^2``."""
+    value = 0.0
+    for k in range(force.size):
+        value += 0.5 * (force[k] - desired[k] / least) ** 2
+    for l in range(y.size):
+        value -= y[l] * gradient[l]
+    return value
 
 
 @kernel
@@ -256,13 +278,14 @@ def add_product(weight, left, right, H):
 def is_beyond(W, y, wrench, pushing, friction):
     """Whether the twist ``y`` proves that no forces within the cones exert the wrench.
 
-    Rows that hold both ways must do no work on it.
+    Rows that hold both ways must do no work on it.  Without a wrench, forces that are not zero do.
     """
-    work, size = 0.0, 0.0
+    work, size, opening = 0.0, 0.0, 0.0
     for l in range(y.size):
         work += y[l] * wrench[l]
         size += abs(y[l])
-    if not work > PROVEN * size * norm(wrench, wrench.size):
+    load = norm(wrench, wrench.size)
+    if load > 0.0 and not work > PROVEN * size * load:
         return False
     i, k = 0, 0
     while k < W.shape[0]:
@@ -274,11 +297,12 @@ def is_beyond(W, y, wrench, pushing, friction):
                 k += 2
             if gap_rate + slip > PROVEN * size:
                 return False
+            opening = max(opening, -(gap_rate + slip))
             i += 1
         elif abs(gap_rate) > PROVEN * size:
             return False
         k += 1
-    return True
+    return load > 0.0 or opening > OPENS * size
 
 
 @kernel

@@ -34,6 +34,8 @@ from multiarm.events.complementarity.solution import (
     Alternative,
     ComplementaritySolution,
     Verdict,
+    describe,
+    find_impulses,
     solve,
 )
 
@@ -48,5 +50,7 @@ __all__ = [
     "Push",
     "Sliding",
     "Verdict",
+    "describe",
+    "find_impulses",
     "solve",
 ]

@@ -266,6 +266,10 @@ class Problem:
         """No independent force, or the bound nearest to none."""
         return np.clip(np.zeros(self.g.size), self.lower, self.upper)
 
+    def independent(self, forces: np.ndarray) -> np.ndarray:
+        """Independent forces of given ones, within their bounds."""
+        return np.clip((forces / self.scale)[self.rows], self.lower, self.upper)
+
     def _project(self, p: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Nearest allowed forces; a friction disk has its radius from the normal force in ``z``."""
         projected = np.clip(p, self.lower, self.upper)

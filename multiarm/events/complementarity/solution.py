@@ -44,12 +44,14 @@ import numpy as np
 from multiarm.dynamics.solver.factors import rank_of
 from multiarm.events.complementarity.active_set import ActiveSet, active_set, law_modes
 from multiarm.events.complementarity.central import central_set
+from multiarm.events.complementarity.impulses import BOUNDED, FRICTION, PUSH, solve_impulses
 from multiarm.events.complementarity.problem import (
     CONSISTENT,
     MARGIN,
     RANK,
     RESOLVED,
     ROUNDED_RESIDUAL,
+    Bounded,
     ContactLaw,
     ContactMode,
     Friction,
@@ -76,8 +78,7 @@ class Verdict(str, Enum):
     FOUND = "found"
     """At least one; others are neither excluded nor indicated."""
     SEVERAL = "not unique"
-    """Several: the one with the smallest forces is given, or the one nearest to the forces before;
-    the others are the alternatives."""
+    """Several: the one with the smallest forces is given, the others are the alternatives."""
     NONE = "none"
     """None, proven; the result is the nearest to one."""
     NOT_FOUND = "not found"
@@ -172,7 +173,6 @@ def solve(
     response: np.ndarray,
     free: np.ndarray,
     laws: Sequence[ContactLaw],
-    near: np.ndarray | None = None,
 ) -> ComplementaritySolution:
     """Solve a contact problem.
 
@@ -186,25 +186,14 @@ def solve(
         ``v + e v`` with the restitution e, so that y is ``v_after + e v_before``.
     laws : sequence of Push, Bounded, Friction or Sliding
         Contact laws; every row belongs to exactly one.
-    near : ndarray, shape (m,), optional
-        Forces to begin with, such as those of the mode before; of several solutions the nearest is
-        taken.
 
     Returns
     -------
     ComplementaritySolution
         Forces, rates, modes, active rows; its residual, verdict and message certify it.
     """
-    D, b = np.asarray(response, dtype=float), np.asarray(free, dtype=float)
-    m = b.size
-    assert D.shape == (m, m) and b.shape == (m,), "shapes of response and free rates"
-    assert np.all(np.isfinite(D)) and np.all(np.isfinite(b)), "numbers are finite"
-    assert np.allclose(D, D.T, rtol=0.0, atol=1e-9 * np.max(np.abs(D), initial=0.0)), "symmetric"
-    problem = build((D + D.T) / 2.0, b, laws)
-    start = problem.without_force()
-    if near is not None:
-        start = np.clip((near / problem.scale)[problem.rows], problem.lower, problem.upper)
-    (z, *alternatives), verdict, message = _solutions(problem, start)
+    problem = _checked(response, free, laws)
+    (z, *alternatives), verdict, message = _solutions(problem, problem.without_force())
     if verdict in NO_SOLUTION:
         chosen = ActiveSet(problem.E @ z, law_modes(problem, z))
     else:
@@ -217,6 +206,57 @@ def solve(
         _problem=problem,
         _independent=z,
     )
+
+
+def find_impulses(
+    response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw], near: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Impulses of a step in time that obey the laws, and their residual.
+
+    Parameters and residual are those of :func:`solve`; there is no law ``Sliding``, and of several
+    solutions it is one close to ``near``.  Nothing is said of others, and of modes:
+    see :func:`describe`.
+    """
+    kinds, rows = np.full(len(laws), PUSH), np.zeros((len(laws), 3), dtype=np.int64)
+    mu, lower, upper = np.zeros((3, len(laws)))
+    for k, law in enumerate(laws):
+        rows[k] = law.row
+        assert not isinstance(law, Sliding), "impulses of friction have no given direction"
+        if isinstance(law, Bounded):
+            kinds[k], lower[k], upper[k] = BOUNDED, law.lower, law.upper
+        if isinstance(law, Friction):
+            kinds[k], mu[k], rows[k, 1:] = FRICTION, law.mu, law.tangents
+    impulses = near.copy()
+    residual, _ = solve_impulses(response, free, kinds, rows, mu, lower, upper, impulses)
+    return impulses, residual
+
+
+def describe(
+    response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw], forces: np.ndarray
+) -> ComplementaritySolution:
+    """The solution near to forces that obey the laws; nothing is said of others."""
+    problem = _checked(response, free, laws)
+    z = problem.independent(forces)
+    if problem.residual(z) > ROUNDED_RESIDUAL:
+        z = iterate(problem, z)
+    chosen = active_set(problem, z)
+    return ComplementaritySolution(
+        **_by_forces(problem, chosen),
+        verdict=Verdict.FOUND,
+        alternatives=(),
+        message=chosen.message,
+        _problem=problem,
+        _independent=z,
+    )
+
+
+def _checked(response: np.ndarray, free: np.ndarray, laws: Sequence[ContactLaw]) -> Problem:
+    D, b = np.asarray(response, dtype=float), np.asarray(free, dtype=float)
+    m = b.size
+    assert D.shape == (m, m) and b.shape == (m,), "shapes of response and free rates"
+    assert np.all(np.isfinite(D)) and np.all(np.isfinite(b)), "numbers are finite"
+    assert np.allclose(D, D.T, rtol=0.0, atol=1e-9 * np.max(np.abs(D), initial=0.0)), "symmetric"
+    return build((D + D.T) / 2.0, b, laws)
 
 
 def _by_forces(problem: Problem, chosen: ActiveSet) -> dict[str, Any]:
