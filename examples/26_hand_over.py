@@ -25,6 +25,7 @@ PATHS = {
               4.6: (0.1, 0.4, 0.35), 6.4: (0.35, 0.4, 0.1), 7.0: (0.35, 0.4, 0.1),
               8.0: (0.35, 0.4, 0.35)},
 }  # fmt: skip
+NEVER = {"from": "never", "until": None}
 # When each one holds the beam [s].
 HOLDS = {"left": (1.4, 4.4), "right": (4.2, 6.8)}
 
@@ -73,7 +74,9 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--replay", type=Path, help="write the replay here")
     asked = options.parse_args()
-    scene = ma.load_scene(SCENE)
+    # when the arms hold is the controller's business here
+    by_command = {f"joints[{k}].{key}": value for k in (0, 1) for key, value in NEVER.items()}
+    scene = ma.load_scene(SCENE).replace({**by_command, "control": "gravity_compensation"})
     control = HandOver(ma.compile_system(scene))
     run = ma.simulate(ma.compile_system(scene, control, sample_time=PERIOD), progress=True)
     for event in run.events:

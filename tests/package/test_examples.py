@@ -384,6 +384,23 @@ def test_two_hands_lift_a_box_by_friction_and_let_it_go(printed):
 
 
 @pytest.mark.slow
+def test_a_beam_is_handed_over(printed):
+    text = printed("26_hand_over.py")
+    grips = re.findall(rf"({NUMBER}) s  (\w+): (attached|detached), ({NUMBER}) J lost", text)
+    said = [(float(time), arm, kind) for time, arm, kind, _ in grips]
+    assert said == [
+        (1.4, "left", "attached"),
+        (4.2, "right", "attached"),
+        (4.4, "left", "detached"),
+        (6.8, "right", "detached"),
+    ]
+    assert all(0.0 <= float(lost) < 1e-3 for *_, lost in grips)
+    ((x, y, z),) = figures(r"the beam ends at \(#,#,#\) m", text)
+    # the paths of the flanges lead from -0.25 m to 0.25 m; springs give way
+    assert (x, y, z) == pytest.approx((0.25, 0.4, 0.05), abs=5e-3) and "\nmet: " in text
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
