@@ -83,3 +83,20 @@ def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool)
     packed = pack(moved).table
     for k, row in enumerate(records):
         copy_geometry(packed, k, data.model.constants.contacts, row)
+
+
+def place_on_second(data: Data, written: Model, joint: TimedJoint) -> np.ndarray:
+    """The joint's pose (4, 4) on its second body, as ``at`` of a scene has it."""
+    connection = joint.connection
+    now, before = (
+        _pose(frames.on_object, frames.origin_on_object)
+        for frames in (model.frames_on_bodies(connection) for model in (data.model, written))
+    )
+    of_tip = written.frames[connection].on_object  # the same as ``before``, in the tip's frame
+    return of_tip @ np.linalg.solve(before, now) @ _pose(joint.axes.T, np.zeros(3))
+
+
+def _pose(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, origin
+    return pose
