@@ -17,6 +17,7 @@ from multiarm.assembly.robots import backends_of, load_robots, with_bases
 from multiarm.assembly.start import (
     assembled_start,
     closed_at_start,
+    held_at_start,
     unassembled_start,
     with_contacts_located,
     written_start,
@@ -164,8 +165,8 @@ def geometry_of(scene: Scene, start: Mapping[str, Any] | None = None) -> System:
 
 
 def control_law(scene: Scene, data: Data, start: State) -> ControlProgram:
-    """The scene's control, for which all contacts of the joints are closed."""
-    closed = data.closed
+    """The scene's control, for which all contacts of joints that hold at the start are closed."""
+    closed = held_at_start(data)
 
     def path(paths: Mapping[str, tuple[Waypoint, ...]]) -> JointPath:
         return joint_path(scene, closed, start, paths, compile_system)

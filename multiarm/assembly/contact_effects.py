@@ -10,6 +10,8 @@ import numpy as np
 from multiarm.assembly.blocks import Block, RobotPart
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import (
+    CONTACT,
+    Constraint,
     ContactParameters,
     RowBuilder,
     TimedJoint,
@@ -21,6 +23,7 @@ from multiarm.geometry.records import Contact, Patch, basis, plane, sphere, tang
 from multiarm.scene import JointSpec, Scene, Shape
 from multiarm.scene.effects.contacts import ContactFrictionSpec, FloorSpec, SomeContacts
 from multiarm.scene.faults import place, unknown
+from multiarm.scene.joints.times import Touching
 from multiarm.scene.shapes import NoCornersError
 from multiarm.scene.values import floor_owner
 
@@ -93,6 +96,8 @@ def unilateral_constraints(
                 rows.add_contact(contact, ContactParameters(floor.mu, floor.restitution))
     if not (rows.constraints or rows.compliant or rows.timed):
         return None
+    if faults := [*_touching_faults(scene, rows.constraints), *_patch_faults(scene, contacts)]:
+        raise SceneError(faults)
     joints = tuple(_timed_joint(timed[name], of_joint) for name, of_joint in rows.timed.items())
     spec = scene.effects.unilateral_contacts
     as_written = spec is not None and spec.start == "as_written"
@@ -111,6 +116,39 @@ def unilateral_constraints(
     return replace(constraints, assembled=assembled)
 
 
+def _touching_faults(scene: Scene, constraints: Iterable[Constraint]) -> Iterator[str]:
+    """Moments at which a contact is to close that cannot open, or is none."""
+    can_open = [one for one in constraints if one.kind == CONTACT and not one.bilateral]
+    contacts = [f"{contact.owner}/{contact.name}" for contact in can_open]
+    owners = {contact.owner for contact in can_open}
+    for number, joint in enumerate(scene.joints):
+        for where, moment in joint.moments.items():
+            if not isinstance(moment, Touching) or moment.touching in {*owners, *contacts}:
+                continue
+            at, name = place(("joints", number, *where, "touching")), moment.touching
+            if contacts:
+                yield f"{at}: {unknown('contact that can open', name, contacts, 'such contacts')}"
+            else:
+                yield (
+                    f"{at}: {name!r} has no contact that can open, as no joint has; contacts that "
+                    "only push do with 'effects: {unilateral_contacts: {}}', or with friction"
+                )
+
+
+def _patch_faults(scene: Scene, contacts: Mapping[str, list[Contact]]) -> Iterator[str]:
+    """Joints that hold their bodies where they are, on surfaces that are bounded."""
+    for number, joint in enumerate(scene.joints):
+        if not joint.intervals or joint.at is not None:
+            continue
+        bounded = [c.name for c in contacts[joint.connection] if c.object.patch is not None]
+        if bounded:
+            yield (
+                f"{place(('joints', number))}: without 'at' the joint holds its bodies where they "
+                f"are, and its surfaces move there; that of {bounded[0]!r} has a patch, which does "
+                "not; give 'at', or leave the patch out"
+            )
+
+
 def _timed_joint(joint: JointSpec, rows: TimedRows) -> TimedJoint:
     turn = np.eye(4)
     turn[:3, :3] = basis(joint.z_axis)
@@ -121,6 +159,7 @@ def _timed_joint(joint: JointSpec, rows: TimedRows) -> TimedJoint:
         intervals=joint.intervals,
         located=joint.at is None,
         offset=turn.T @ joint.start_shift() @ turn,
+        axes=turn[:3, :3],
         speed_limit=np.inf if joint.speed_limit is None else joint.speed_limit,
     )
 

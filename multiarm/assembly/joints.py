@@ -21,21 +21,26 @@ from multiarm.assembly.contact_effects import (
 )
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
+from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import JointRow, PackedContacts, WheelRow, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.connections import Connection
 from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.failures import joint_of, joint_text
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import joint_of, joint_text, require_ok
 from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
+from multiarm.jit.rows import fields_of
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
+from multiarm.scene.joints.contacts import ContactsJoint
+from multiarm.spatial import matrix_to_quaternion
 
 # Name of the row of a robot on wheels.
 NO_SIDE_SLIP = "no slip sideways"
@@ -85,12 +90,43 @@ def joint_frames(scene: Scene, data: Data, start: State) -> dict[str, JointFrame
     closed, frames = data.closed, {}
     for joint in scene.joints:
         frame = closed.model.frames[joint.connection]
-        if joint.free is None:
-            frame = replace(frame, free=free_components(closed, joint.connection, start))
-        elif joint.kind not in BUILT_IN:
-            _check_free(joint, closed, start)
+        if joint.free is None or joint.kind not in BUILT_IN:
+            state = _where_joined(joint, closed, start)
+            if joint.free is not None:
+                _check_free(joint, closed, state)
+            else:
+                frame = replace(frame, free=free_components(closed, joint.connection, state))
         frames[joint.connection] = frame
     return {name: frames[name] for name in closed.model.connections}
+
+
+def _where_joined(joint: JointSpec, data: Data, start: State) -> State:
+    """A state in which a joint's frames coincide: the start, if it holds there.
+
+    For joints that take hold later, with places of their own, an object is put there.  Listed
+    contacts touch elsewhere, and are looked at where they are at the start.
+    """
+    objects = [body for body in (joint.second, joint.first) if body.is_object]
+    apart = joint.at is not None and not joint.holds_at(0.0)
+    if not (apart and objects) or isinstance(joint, ContactsJoint):
+        return start
+    state, model = start.copy(), data.model
+    data.set_state(0.0, start)
+    require_ok(data, update_kinematics(data.struct))
+    frames = model.frames_on_bodies(joint.connection)
+    motions = fields_of(BodyMotion, data.arrays.bodies.motion)
+    first, second = model.bodies_of(joint.connection)
+    sides = {
+        first: (frames.on_link, frames.origin_on_link),
+        second: (frames.on_object, frames.origin_on_object),
+    }
+    moved, other = (second, first) if objects[0] == joint.second else (first, second)
+    (R_moved, p_moved), (R_other, p_other) = sides[moved], sides[other]
+    R = motions.rotation[other] @ R_other @ R_moved.T
+    origin = motions.origin[other] + motions.rotation[other] @ p_other - R @ p_moved
+    motion = state.objects[objects[0].tip]
+    motion.position[:], motion.quaternion_xyzw[:] = origin, matrix_to_quaternion(R)
+    return state
 
 
 def contact_rows(scene: Scene, robots: Robots, joints: Mapping[str, Joint]) -> SceneRows:

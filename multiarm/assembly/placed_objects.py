@@ -1,8 +1,9 @@
 """Objects that are where their joints put them.
 
 Of several objects, one without ``pose`` is placed by its first joint that says where: the joint has
-``at``, and its other body is the world, an object with a place, or a link of a robot whose posture
-is written.  Both frames of the joint coincide then.  What no joint places is at the world's origin.
+``at`` and holds at the start, and its other body is the world, an object with a place, or a link of
+a robot whose posture is written.  Both frames of the joint coincide then.  What no joint places is
+at the world's origin.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class _Places:
     def next_object(self) -> dict[str, np.ndarray] | None:
         """The first object without a place that a joint gives one, with its pose."""
         for joint in self._scene.joints:
-            if joint.at is None or joint.as_listed:
+            if joint.at is None or joint.as_listed or not joint.holds_at(0.0):
                 continue
             first = joint.first, joint.on_first.matrix() @ joint.start_shift()
             second = joint.second, joint.at.matrix()

@@ -5,7 +5,9 @@ tips far from their places.  The posture is then the best one that closes its co
 that only holds the object (:mod:`multiarm.assembly.arm_postures`), or of a robot with several
 connections (:mod:`multiarm.assembly.robot_postures`).  Robots that are joined to each other are
 found one after the other: each reaches the links of those before it, and of those whose postures
-are written.
+are written.  Of joints that hold for some of the time, those count that hold at the start; where a
+link has none and its robot says ``posture: solve``, the first one that is to hold it: the robot
+starts where it takes hold.
 
 Where its links overlap the object or the links of other robots, or links on two of its branches
 each other (:mod:`multiarm.assembly.collisions`), the best is taken of those that do not.  Links of
@@ -14,6 +16,7 @@ one chain are not compared with each other.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from typing import Protocol
@@ -141,16 +144,37 @@ def _links_of_two(joint: JointSpec) -> list[BodyName]:
 
 
 def _joints_of(scene: Scene, name: str, known: Collection[str]) -> dict[int, JointSpec]:
-    """The joints that connect links of a robot, by their numbers in the scene.
+    """The joints that connect links of a robot at the start, by their numbers in the scene.
 
-    Those with another robot where it is ``known`` where that is.
+    Those with another robot where it is ``known`` where that is.  With ``posture: solve`` the next
+    ones of links that no joint holds at the start.
     """
-    return {
+    of_robot = {
         number: joint
         for number, joint in enumerate(scene.joints)
         if name in (joint.first.robot, joint.second.robot)
         and all(body.robot in (name, *known) for body in _links_of_two(joint))
     }
+    chosen = {number: joint for number, joint in of_robot.items() if joint.holds_at(0.0)}
+    if posture_of(scene, name)[1] == SOLVE:
+        linked = {link for joint in chosen.values() for link in _links_of(joint, name)}
+        later = {number: joint for number, joint in of_robot.items() if number not in chosen}
+        for number in sorted(later, key=lambda number: _beginning(later[number])):
+            if linked.isdisjoint(links := _links_of(later[number], name)):
+                linked |= links
+                chosen[number] = later[number]
+    return dict(sorted(chosen.items()))
+
+
+def _links_of(joint: JointSpec, robot: str) -> set[str]:
+    """The links of a robot that a joint connects."""
+    return {body.tip for body in (joint.first, joint.second) if body.robot == robot}
+
+
+def _beginning(joint: JointSpec) -> float:
+    """When a joint takes hold first, as far as times say [s]."""
+    begins = (interval.begin for interval in joint.intervals)
+    return min((begin for begin in begins if isinstance(begin, float)), default=math.inf)
 
 
 def _shown_second(joint: JointSpec) -> str:

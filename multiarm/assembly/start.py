@@ -158,6 +158,14 @@ def closed_at_start(data: Data) -> Data:
     return data.view(replace(data.model.select(unilateral.assembled), unilateral=None))
 
 
+def held_at_start(data: Data) -> Data:
+    """Data with all contacts closed of the joints that hold at the start; they share a state."""
+    unilateral = data.model.unilateral
+    if unilateral is None or not unilateral.timed:
+        return data.closed
+    return data.view(data.model.with_contacts_closed(unilateral.holding_at(0.0)))
+
+
 def with_contacts_located(data: Data, closed: Data, state: State) -> Data:
     """Data in which contacts of two surfaces are found from where the ``closed`` touch at a state.
 
@@ -302,12 +310,12 @@ def _check_way_round(data: Data, scene: Scene, name: str) -> None:
     """Raise where a joint is closed upside down.
 
     Contacts are rows of distances, and those of a weld or a slide vanish too where the joint's
-    frames on arm and object differ by half a turn.
+    frames on arm and object differ by half a turn.  Joints that take hold later are left out.
     """
     faults, rotations = [], fields_of(BodyMotion, data.arrays.bodies.motion).rotation
     for joint in scene.joints:
         turns = None if joint.free is None else [k - 3 for k in joint.free if k >= 3]
-        if turns is None or len(turns) > 1:
+        if turns is None or len(turns) > 1 or not joint.holds_at(0.0):
             continue
         frames = data.model.frames_on_bodies(joint.connection)
         first, second = data.model.bodies_of(joint.connection)

@@ -61,7 +61,9 @@ def _weight_not_carried(system: System) -> list[str]:
     if scene.gravity is None or not any(scene.gravity) or not scene.control.carries:
         return []
     with system.borrow() as data:
-        of_laws = data.of_laws
+        of_laws, unilateral = data.of_laws, data.model.unilateral
+        if unilateral is not None and unilateral.timed:
+            of_laws = data.view(data.model.of_laws(unilateral.holding_at(0.0)))
         start, size = system.initial_state(), scene_size(of_laws)
         left = uncarried_weight(of_laws, start)
         hanging = uncarried_bases(of_laws, start)
@@ -103,7 +105,9 @@ def _passive_joints_not_carried(
 def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[str]:
     """Warnings of the objects of whose weight some is ``left``, wrenches (6 F,)."""
     warnings, objects, gravity = [], system.scene.all_objects, system.model.constants.gravity
-    connections, where = system.model.connections.values(), place(("control",))
+    where = place(("control",))
+    at_start = {joint.connection for joint in system.scene.joints if joint.holds_at(0.0)}
+    connections = [pair for pair in system.model.connections.values() if pair.name in at_start]
     for (name, body), wrench in zip(objects.items(), left.reshape(-1, 6), strict=True):
         weight = body.mass * float(np.linalg.norm(gravity))
         if np.linalg.norm([*wrench[:3], *wrench[3:] / size]) <= UNCARRIED * weight:
@@ -112,7 +116,8 @@ def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[
         bodies = object_named(name)
         holding = [repr(pair.name) for pair in connections if bodies in (pair.first, pair.second)]
         if not holding:
-            warnings.append(f"{where}: no joint holds {of_object}, and it falls")
+            when = "" if len(at_start) == len(system.scene.joints) else " at the start"
+            warnings.append(f"{where}: no joint holds {of_object}{when}, and it falls")
             continue
         owner = "the object's" if len(objects) == 1 else f"the '{name}' object's"
         warnings.append(
@@ -134,7 +139,8 @@ def _joints_off_the_object(system: System) -> list[str]:
     warnings = []
     for place_of_joint, joint in enumerate(system.scene.joints):
         pair = system.model.connections[joint.connection]
-        if not pair.on_object:
+        located_later = joint.at is None and not joint.holds_at(0.0)
+        if not pair.on_object or located_later:
             continue
         point = system.frames[joint.connection].on_object[:3, 3]
         body = system.scene.all_objects[pair.second.tip]

@@ -215,7 +215,8 @@ def _joint(joint: JointFacts) -> tuple[RenderableType, ...]:
         count = len(joint.rows) - joint.rank
         contacts.append(f"; {count} too many among: {', '.join(joint.redundant_rows)}", "yellow")
     rows = f"{len(joint.rows)}, rank {joint.rank}"
-    return joint.name or joint.connection, joint.kind, rows, "\n".join(free) or "none", contacts
+    kind = "\n".join(filter(None, [joint.kind, joint.times.replace(", ", ",\n")]))
+    return joint.name or joint.connection, kind, rows, "\n".join(free) or "none", contacts
 
 
 def _posture(arm: ArmFacts | RobotFacts) -> Text:

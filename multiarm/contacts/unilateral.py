@@ -90,6 +90,8 @@ class TimedJoint:
         It holds its bodies where they are when it takes hold; else only where its frames coincide.
     offset : ndarray, shape (4, 4)
         Its frame on the second body, in that on the first, where it takes hold.
+    axes : ndarray, shape (3, 3)
+        Axes of its frame, z its axis or normal, in that of ``at``.
     speed_limit : float
         Of its frames against each other where it takes hold [m/s].
     """
@@ -100,6 +102,7 @@ class TimedJoint:
     intervals: tuple[Interval, ...]
     located: bool
     offset: np.ndarray
+    axes: np.ndarray
     speed_limit: float
 
     @property

@@ -88,6 +88,32 @@ def _check_bases(control: ControlKind, context: ControlContext) -> None:
     )
 
 
+def _check_times(control: ControlKind, context: ControlContext) -> None:
+    """Refuse controls that distribute wrenches over hands that come and go.
+
+    Raises
+    ------
+    ControlError
+    """
+    timed = [joint.connection for joint in context.scene.joints if joint.intervals]
+    if not timed:
+        return
+    what = ""
+    if isinstance(control, ComputedTorqueControl | ObjectImpedanceControl):
+        what = f"kind '{control.kind}'"
+    elif any(control.paths(context.start.layout.objects).values()):
+        what = "'path'"
+    elif getattr(control, "friction_margin", None) is not None:
+        what = "'friction_margin'"
+    if what:
+        raise ControlError(
+            f"control: {what} is not computed with joints that hold for some of the time, such as "
+            f"'{timed[0]}': it plans with the hands that hold the objects all the time; control "
+            "the joints alone ('joint_pd', 'recorded', 'harmonic', 'constant'), or by "
+            "'gravity_compensation' or a function in Python"
+        )
+
+
 def _standing(context: ControlContext) -> set[str]:
     """Robots whose base does not float, and robots and objects that joints tie to the world."""
     pairs = [(pair.first, pair.second) for pair in context.data.model.connections.values()]
@@ -112,6 +138,7 @@ def control_program(context: ControlContext) -> ControlProgram:
     """
     control = context.scene.control
     _check_bases(control, context)
+    _check_times(control, context)
     kind = next((kind for kind in type(control).__mro__ if kind in PROGRAMS), None)
     program = ControlProgram() if kind is None else PROGRAMS[kind](control, context)
     if not isinstance(control, SampledControl) or control.sample_time is None:

@@ -28,7 +28,7 @@ class JointPath(NamedTuple):
 
 @dataclass(frozen=True)
 class ControlContext:
-    """The system for which a control is built, all contacts of its joints closed.
+    """The system for which a control is built, contacts closed of joints that hold at its start.
 
     Attributes
     ----------

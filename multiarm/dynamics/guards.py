@@ -52,7 +52,8 @@ class Guard(NamedTuple):
         Of one that stops: if it was at zero when the mode began, it counts as positive above this.
         One that reports changes its sign beyond this only.
     sign : int
-        1 where the function falls through zero at the next event, -1 where it rises.
+        1 where the function falls through zero at the next event, -1 where it rises; 0: nothing is
+        watched.
     stops : bool
         It ends a mode, and with it the step; or it only reports.
     scale : int

@@ -280,13 +280,19 @@ class Model:
                     "at the scene's start; take a time at which it does, or a scene without it"
                 )
 
-    def with_contacts_closed(self) -> Model:
+    def with_contacts_closed(self, holding: Set[int] | None = None) -> Model:
         """The same model with all contacts of its joints closed, as bilateral constraints.
 
         It is without friction, compliance, joint stops and surroundings; joints with dry friction
-        move freely.  Without unilateral contacts it is the model itself.
+        move freely.  Without unilateral contacts it is the model itself.  ``holding``: of the timed
+        joints these only.
         """
-        return self if self.unilateral is None else self._with_closed(self.unilateral.model)
+        if self.unilateral is None:
+            return self
+        rows: Sequence[int] = self.unilateral.model
+        if holding is not None:
+            rows = self.unilateral.rows_held_by(holding, rows)
+        return self._with_closed(rows)
 
     def of_laws(self, holding: Set[int] | None = None) -> Model:
         """The model that control laws see: with all contacts closed, those that grip stick.

@@ -37,6 +37,7 @@ from multiarm.results.channels import Channel, RowOwner, trajectory_channels
 from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
 from multiarm.scene.faults import shown
+from multiarm.scene.timed_joints import times_in_words
 from multiarm.scene.values import is_finite, of_surroundings
 
 
@@ -228,6 +229,7 @@ class System:
             facts[f"{noun} {name}"] = (
                 f"{of_robot}{joints[name].kind}: {count_of(len(self.contacts[name]), 'contact')}, "
                 f"free: {', '.join(self.frames[name].labels) or 'nothing'}"
+                + (f"; holds {times}" if (times := times_in_words(joints[name])) else "")
             )
         facts |= {
             f"robot {name}": count_of(len(arm.joint_names), "joint")

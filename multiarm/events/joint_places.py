@@ -67,10 +67,26 @@ def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool)
     R = bodies.rotation[second]
     rotation = R.T @ on_first.rotation @ joint.offset[:3, :3]
     origin = on_first.origin + on_first.rotation @ joint.offset[:3, 3] - bodies.origin[second]
-    now = data.model.frames_on_bodies(connection)
-    now.on_object[:], now.origin_on_object[:] = rotation, R.T @ origin
     if as_written:
-        now.on_object[:], now.origin_on_object[:] = before.on_object, before.origin_on_object
+        _move_joint(data, written, connection, before.on_object, before.origin_on_object)
+    else:
+        _move_joint(data, written, connection, rotation, R.T @ origin)
+
+
+def place_joint_at(data: Data, written: Model, joint: TimedJoint, at: np.ndarray) -> None:
+    """Move a joint on its second body to a pose (4, 4) there, see :func:`place_on_second`."""
+    frames = written.frames_on_bodies(joint.connection)
+    before = _pose(frames.on_object, frames.origin_on_object)
+    of_tip = written.frames[joint.connection].on_object
+    now = before @ np.linalg.solve(of_tip, at @ _pose(joint.axes, np.zeros(3)))
+    _move_joint(data, written, joint.connection, now[:3, :3], now[:3, 3])
+
+
+def _move_joint(
+    data: Data, written: Model, connection: str, rotation: np.ndarray, origin: np.ndarray
+) -> None:
+    before, now = (model.frames_on_bodies(connection) for model in (written, data.model))
+    now.on_object[:], now.origin_on_object[:] = rotation, origin
     turn = now.on_object @ before.on_object.T
     shift = now.origin_on_object - turn @ before.origin_on_object
     rows = written.layout.contacts_of(written.layout.owners.index(connection))
@@ -83,3 +99,20 @@ def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool)
     packed = pack(moved).table
     for k, row in enumerate(records):
         copy_geometry(packed, k, data.model.constants.contacts, row)
+
+
+def place_on_second(data: Data, written: Model, joint: TimedJoint) -> np.ndarray:
+    """The joint's pose (4, 4) on its second body, as ``at`` of a scene has it."""
+    connection = joint.connection
+    now, before = (
+        _pose(frames.on_object, frames.origin_on_object)
+        for frames in (model.frames_on_bodies(connection) for model in (data.model, written))
+    )
+    of_tip = written.frames[connection].on_object  # the same as ``before``, in the tip's frame
+    return of_tip @ np.linalg.solve(before, now) @ _pose(joint.axes.T, np.zeros(3))
+
+
+def _pose(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, origin
+    return pose

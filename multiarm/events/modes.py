@@ -23,7 +23,12 @@ from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginning
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
-from multiarm.events.joint_places import place_joint, with_own_places
+from multiarm.events.joint_places import (
+    frame_motions,
+    place_joint,
+    place_on_second,
+    with_own_places,
+)
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -41,6 +46,7 @@ from multiarm.events.mode_guards import ModeGuards, MomentNumber
 from multiarm.integration.step import watch_stage
 from multiarm.jit.pointers import PythonCallback, address_of
 from multiarm.results.contact_states import ContactState
+from multiarm.spatial import matrix_to_quaternion
 
 # Effects whose arrays a mode writes.
 DRY_FRICTION, COMPLIANCE = "joint_friction", "contact_compliance"
@@ -205,6 +211,19 @@ class Modes:
         for selection in (self.data, self.data.tangents, self.bilateral):
             if selection is not None:
                 selection.forget()
+
+    def where(self, timed: int) -> tuple[float, ...]:
+        """Where the frame of a timed joint is on its first body, world [m]."""
+        name = self.unilateral.timed[timed].connection
+        return tuple(frame_motions(self.full, self.full.model, name)[0].origin.tolist())
+
+    def place_of(self, timed: int) -> tuple[float, ...] | None:
+        """Where a joint that is ``located`` is on its second body: position, quaternion xyzw."""
+        joint = self.unilateral.timed[timed]
+        if not joint.located:
+            return None
+        pose = place_on_second(self.full, self._written, joint)
+        return (*pose[:3, 3].tolist(), *matrix_to_quaternion(pose[:3, :3]).tolist())
 
     # --- the mode that has been entered -----------------------------------------------------------
 

@@ -5,7 +5,9 @@ text without arm, contact and joint), and, where they apply, ``arm`` ("floor" fo
 contacts), ``contact`` or ``joint``, ``where`` (world [m]), ``before`` and ``after``: named numbers
 whose unit ends the name, as in ``gap_rate_m_s``, or words.  Where a joint takes hold or lets go,
 ``arm`` is its name, ``impulse`` (6,) what it exerts on its second body, as ``wrenches`` has forces
-[N s, N m s], and ``energy_loss`` the energy lost by it [J].
+[N s, N m s], ``energy_loss`` the energy lost by it [J], ``where`` its place in the world, and
+``at``, of one that holds its bodies where they are, its place on the second body: a pose as a scene
+writes it, with ``xyz`` [m] and ``quaternion_xyzw``.
 
 A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
 by kind, so that neither a result nor its message grows with them. Figures and replays show a
@@ -97,6 +99,8 @@ class RunEvent:
         By it [J].
     numbers : mapping
         Named numbers after an event without sides; units end their names.
+    at : tuple of 7 floats or None
+        Its pose on the second body, position [m] and quaternion xyzw.
     """
 
     time: float
@@ -112,6 +116,7 @@ class RunEvent:
     impulse: tuple[float, ...] | None = None
     energy_loss: float | None = None
     numbers: Mapping[str, float] | None = None
+    at: tuple[float, ...] | None = None
 
     @property
     def who(self) -> str:
@@ -150,7 +155,8 @@ class RunEvent:
         where = None if self.where is None else list(self.where)
         impulse = None if self.impulse is None else list(self.impulse)
         optional: dict[str, Any] = {"before": before, "after": after, "where": where}
-        optional |= {"impulse": impulse, "energy_loss": self.energy_loss}
+        at = None if self.at is None else {"xyz": [*self.at[:3]], "quaternion_xyzw": [*self.at[3:]]}
+        optional |= {"impulse": impulse, "energy_loss": self.energy_loss, "at": at}
         return {
             "time": self.time,
             "kind": self.kind.word,

@@ -29,6 +29,7 @@ from multiarm.scene.resolution import Examination, resting_warning
 from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
+from multiarm.scene.timed_joints import late_joints, touching_faults
 from multiarm.scene.trunks import (
     ArmGroup,
     arm_groups,
@@ -36,6 +37,7 @@ from multiarm.scene.trunks import (
     group_warnings,
     one_robot_faults,
 )
+from multiarm.scene.values import floor_owner
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ class ValidParts:
         Whether there may be contacts that only push.
     rubs : bool
         Whether a joint, or a contact that is listed, has friction of its own.
+    timed : dict
+        The valid joints that hold for some of the time, by their numbers.
     """
 
     arm_names: list[str] | None
@@ -89,6 +93,7 @@ class ValidParts:
     joints: list[WrittenJoint] | None
     pushes: bool
     rubs: bool
+    timed: dict[int, Joint]
     control: ControlKind | None
     effects: EffectsSpec | None
     run: RunSpec | None
@@ -119,6 +124,11 @@ class ValidParts:
             else [WrittenJoint.of(joint, context["objects"]) for joint in joints],
             pushes=not joints or any(_pushes(joint) for joint in joints),
             rubs=any(_rubs(joint) for joint in joints or ()),
+            timed={
+                number: joint
+                for number, joint in enumerate(joints or ())
+                if isinstance(joint, Joint) and joint.intervals
+            },
             control=_valid(ControlSpec, data.get("control"), context),
             effects=_valid(EffectsSpec, data.get("effects", {}), context),
             run=_valid(RunSpec, data.get("run"), context),
@@ -205,6 +215,7 @@ def check(parts: ValidParts, examined: Examined) -> Findings:
                 f"no file at {mesh.file}; the motion is not affected, the replay shows a stand-in",
             )
     if known is not None:
+        _check_times(parts, known, findings)
         _check_control(parts.control, known, findings)
         _check_effects(parts, known, findings)
     return findings
@@ -279,6 +290,19 @@ def _check_connections(parts: ValidParts, known: KnownRobots, findings: Findings
         findings.add_fault(where, text)
 
 
+def _check_times(parts: ValidParts, known: KnownRobots, findings: Findings) -> None:
+    """What joints that hold for some of the time name, and when they do."""
+    floor = None if parts.effects is None else parts.effects.floor
+    bodies = [name for name in known.objects if floor is not None and floor.is_of(name)]
+    floors = [floor_owner(name, known.objects) for name in bodies]
+    for where, text in touching_faults(parts.timed, known.connections, floors):
+        findings.add_fault(where, text)
+    if parts.run is None or "duration" not in parts.run.model_fields_set:
+        return
+    for where, text in late_joints(parts.timed, parts.run.duration):
+        findings.add_warning(where, text)
+
+
 def _report_robots(parts: ValidParts, findings: Findings) -> None:
     """Faults and warnings of each arm, of arms on one trunk, and of each robot."""
     for key, entry in findings.examined.items():
@@ -344,7 +368,8 @@ def _check_effects(parts: ValidParts, arms: KnownRobots, findings: Findings) -> 
         findings.add_warning(("effects", *where), text)
     if parts.run is not None:
         with_events = causes_of_events(effects, parts.rubs)
-        message = method_fault(parts.run.integrator, effects.with_states, with_events)
+        integrator, timed = parts.run.integrator, bool(parts.timed)
+        message = method_fault(integrator, effects.with_states, with_events, timed)
         if message:
             findings.add_fault(("run", "integrator"), message)
     if parts.pushes:
@@ -370,11 +395,22 @@ def carries_all_effects(integrator: str | None) -> bool:
 
 
 def method_fault(
-    integrator: str | None, with_states: Sequence[str], with_events: Sequence[str] = ()
+    integrator: str | None,
+    with_states: Sequence[str],
+    with_events: Sequence[str] = (),
+    timed: bool = False,
 ) -> str:
-    """Why a method cannot carry effects that have states or events; empty when it can."""
+    """Why a method cannot carry effects that have states or events; empty when it can.
+
+    ``timed`` says whether joints hold for some of the time, which has events too.
+    """
     if carries_all_effects(integrator):
         return ""
+    if timed:
+        return (
+            "'variational' takes its steps as wholes and knows no events of joints that take hold "
+            "or let go ('from', 'until'); use another method, such as 'dop853' or 'rk4'"
+        )
     if with_events:
         return (
             f"'variational' takes its steps as wholes and knows no events of "

@@ -31,6 +31,7 @@ from multiarm.scene.faults import Parts, fault_at, place, shown
 from multiarm.scene.joints import JOINTS
 from multiarm.scene.joints.contacts import ContactsJoint
 from multiarm.scene.joints.kind import Joint, UnloadedJoint
+from multiarm.scene.joints.times import without_function
 from multiarm.scene.registry import ByName, Registry
 from multiarm.scene.schema import Scene
 from multiarm.scene.spec import written
@@ -138,7 +139,7 @@ class NamedCode:
     what : str
         The function or the class, with its file, module or package.
     arm : str or None
-        The name of the joint that needs it, of one with 'arm' the arm.
+        The name of the joint whose contacts need it, of one with 'arm' the arm.
     missing : str
         Why there is no such class; empty where there is one.
     """
@@ -170,7 +171,8 @@ def named_code(scene: Scene) -> list[NamedCode]:
     """The code that a scene names and that is not loaded yet, in the order of the scene."""
     named = []
     for parts, registry, name in _code_of(scene):
-        arm = scene.joints[int(parts[1])].connection if parts[0] == "joints" else None
+        of_contacts = parts[0] == "joints" and parts[2] not in ("from", "until")
+        arm = scene.joints[int(parts[1])].connection if of_contacts else None
         if registry is None:
             named.append(NamedCode.function(parts, CodeReference(name), arm))
         else:
@@ -226,8 +228,9 @@ def with_code(scene: Scene, allowed: bool | None = None) -> Scene:
 def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     """The scene without what needs code that is not loaded, and that code.
 
-    Left out are wrenches by functions, effects of packages, control that needs either, and of
-    joints the contacts that need functions or classes of packages; the others keep their names.
+    Left out are wrenches by functions, effects of packages, control that needs either, events of
+    functions at which joints take hold or let go, and of joints the contacts that need functions or
+    classes of packages; the others keep their names.
     """
     left = named_code(scene)
     if not left:
@@ -236,7 +239,7 @@ def without_code(scene: Scene) -> tuple[Scene, list[NamedCode]]:
     wrenches = scene.effects.external_wrenches or ()
     known = tuple(wrench for wrench in wrenches if not any(code_in(wrench)))
     effects = {**scene.effects.named, "external_wrenches": known or None}
-    joints = tuple(_without_contacts(joint) for joint in scene.joints)
+    joints = tuple(_without_contacts(_without_functions(joint)) for joint in scene.joints)
     control = scene.control
     if any(code_in(control)):
         control = ControlKind(kind=control.kind)
@@ -326,6 +329,13 @@ def _plain(value: Any) -> Any:
     if isinstance(value, BaseModel):
         return {key: _plain(item) for key, item in written(value).items()}
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _without_functions(joint: Joint) -> Joint:
+    """A joint without the events that functions tell: they do not come."""
+    times = {key: getattr(joint, key) for key in ("from", "until")}
+    known = {key: without_function(value) for key, value in times.items()}
+    return joint if known == times else joint.model_copy(update=known)
 
 
 def _without_contacts(joint: Joint) -> Joint:

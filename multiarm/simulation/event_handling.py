@@ -53,6 +53,7 @@ from multiarm.integration.step_control import PROJECTION, gains, shortest_step
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import EventLog, RunEvent
+from multiarm.simulation.guard_log import watch_joints
 from multiarm.simulation.impulse_phase import (
     FIRST_SHARE,
     SHORTEST,
@@ -129,6 +130,7 @@ class EventHandler:
         self._last_length = self._usual_length = 0.0
         self._times: deque[float] = deque(maxlen=ACCUMULATED)
         self._schedule = JointSchedule(self.modes.unilateral, 0.0)
+        self._watched: frozenset[int] | None = None  # joints whose ranges are watched
         self._phase: ImpulsePhase | None = None
         # of the last one: its end, the length of its steps, and how long it was
         self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
@@ -321,17 +323,20 @@ class EventHandler:
 
     def _log_switch(self, t: float, switch: Switch, decision: Decision) -> None:
         """Log what joints have done; the loss is that of all at this instant."""
-        names = [joint.connection for joint in self.modes.unilateral.timed]
+        modes, timed = self.modes, self.modes.unilateral.timed
+        names = [joint.connection for joint in timed]
         impulses, lost, events = {}, 0.0, []
         if switch.grip is not None:
             impulses = switch.grip.impulses(decision.impulses)
             lost = switch.grip.energy_lost - decision.energy
         for k in sorted(switch.taking):
             kind, impulse = EventKind.ATTACHED, tuple(impulses[names[k]].tolist())
-            events.append(RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=lost))
+            event = RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=lost)
+            events.append(replace(event, where=modes.where(k), at=modes.place_of(k)))
         for k in sorted(switch.letting):
             kind, impulse = EventKind.DETACHED, (0.0,) * 6
-            events.append(RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=0.0))
+            event = RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=0.0)
+            events.append(replace(event, where=modes.where(k)))
         self.count += len(events)
         self._log.add(*events)
 
@@ -508,6 +513,10 @@ class EventHandler:
         if isinstance(control, ControlCallback):
             control.notify = partial(self._hear, run, control)
             self._hear(run, control)
+        if self._watched != self.modes.holding:
+            self._watched, timed = self.modes.holding, self.modes.unilateral.timed
+            idle = {j.connection for k, j in enumerate(timed) if k not in self._watched}
+            watch_joints(run.data, self.modes.full.model, idle, run.clock.t, self._log)
         passed = np.flatnonzero(~(self.modes.guards.value > 0.0)).tolist()
         self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
         self.stop_at_switch(run)

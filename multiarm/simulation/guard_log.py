@@ -6,11 +6,13 @@ dense output.
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 
 from multiarm.contacts.joint import COMPONENTS
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.failures import is_tip_of_arm
+from multiarm.dynamics.failures import is_tip_of_arm, require_ok
 from multiarm.dynamics.guard_functions import (
     DriveMargin,
     PatchDepth,
@@ -18,6 +20,7 @@ from multiarm.dynamics.guard_functions import (
     RangeDepth,
 )
 from multiarm.dynamics.guards import FIRED, QUIET, turn_round
+from multiarm.dynamics.model import Model
 from multiarm.integration.event_location import GuardValues, sign_changes
 from multiarm.integration.methods import Stepping
 from multiarm.integration.reporting_guards import write_reports
@@ -41,6 +44,39 @@ def log_start(data: Data, log: EventLog, begin: float) -> None:
         events.append(_event(data, g, begin))
         turn_round(guards, g)
     log.add(*events)
+
+
+def watch_joints(data: Data, model: Model, idle: Set[str], time: float, log: EventLog) -> None:
+    """Watch the ranges, patches and forces of joints that hold, and not those of ``idle`` ones.
+
+    Of joints that have just taken hold, what is out of its range is logged.  ``model`` has all
+    rows; at the state in the data, which has been evaluated.
+    """
+    guards, awake = data.guards, []
+    for g, guard in enumerate(model.guards):
+        if isinstance(guard.function, DriveMargin):
+            continue
+        if _owner(model, guard.function) in idle:
+            guards.sign[g], guards.result[g] = 0, QUIET
+        elif guards.sign[g] == 0:
+            guards.sign[g] = 1
+            awake.append(g)
+    if not awake:
+        return
+    require_ok(data, write_reports(data.struct))
+    for g in awake:
+        guards.before[g], guards.rate_before[g] = guards.value[g], guards.rate[g]
+        guards.armed[g] = guards.before[g] > guards.level[g]
+        if guards.value[g] < -guards.level[g]:
+            log.add(_event(data, g, time))
+            turn_round(guards, g)
+
+
+def _owner(model: Model, watched: RangeDepth | PatchDepth | PushingForce) -> str:
+    """The connection of a guard, in a model with all rows."""
+    if isinstance(watched, RangeDepth):
+        return model.layout.owners[watched.connection]
+    return model.owner(watched.row)[0]
 
 
 def log_reports(data: Data, stepping: Stepping, clock: Clock, log: EventLog) -> None:

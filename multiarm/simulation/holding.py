@@ -135,13 +135,14 @@ def carrying_capacity(system: System, evaluation: Evaluation) -> Carrying | None
 
 
 def _force_rows(system: System) -> np.ndarray:
-    """Rows with which the arms act on the object: contacts and their friction."""
+    """Rows with which the arms act on the object at the start: contacts and their friction."""
     unilateral = system.model.unilateral
     if unilateral is None:
         return np.arange(system.constraint_count)
     pushing = [contact for contact in unilateral.contacts if not contact.bilateral]
     tangents = [row for contact in pushing for row in contact.tangents]
-    return np.array(sorted({*unilateral.model, *tangents}))
+    rows = sorted({*unilateral.model, *tangents})
+    return np.array(unilateral.rows_held_by(unilateral.holding_at(0.0), rows), dtype=np.int64)
 
 
 def _force_bounds(system: System) -> np.ndarray:

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from multiarm.assembly.start import held_at_start
 from multiarm.contacts.joint import FrameRow, JointFrame, limits_of, write_relative
 from multiarm.contacts.table import JointRow, WheelRow
 from multiarm.contacts.unilateral import DRY_JOINT, LIMIT, Constraint
@@ -52,6 +53,7 @@ from multiarm.scene import (
     ToolSpec,
 )
 from multiarm.scene.resolution import MimicCoupling
+from multiarm.scene.timed_joints import times_in_words
 from multiarm.simulation.holding import Carrying, carrying_capacity
 from multiarm.simulation.setup import method_and_tolerance
 from multiarm.spatial import matrix_to_quaternion
@@ -144,6 +146,7 @@ class JointFacts:
     free_motions: list[str]
     coordinates: list[str]  # components that are recorded
     limits: list[LimitFacts]
+    times: str  # when it holds, such as "from 2 s until 4 s"; empty: all the time
 
 
 @dataclass(frozen=True)
@@ -193,7 +196,8 @@ class Inspection:
     arms: dict[str, ArmFacts]
     robots: dict[str, RobotFacts]
     joints: list[JointFacts]
-    freedom: Freedom | None  # all contacts of the joints closed, those with a floor open
+    # all contacts closed of the joints that hold at the start, those with a floor open
+    freedom: Freedom | None
     coming_and_going: list[str]  # unilateral constraints
     effects: dict[str, Any]  # active ones, and gravity, with their parameters
     control: str
@@ -232,7 +236,12 @@ def inspect_system(system: System, unloaded: Sequence[NamedCode] = ()) -> Inspec
         _place_at_start(closed, system)
         terms = contact_terms(closed) if evaluation is None else evaluation.contact_terms
         coordinates = _joint_coordinates(closed)
-        freedom = None if unknown_joints else count_freedom(closed)
+        if unknown_joints:
+            freedom = None
+        else:
+            held = held_at_start(data)
+            _place_at_start(held, system)
+            freedom = count_freedom(held)
     joints = {joint.connection: joint for joint in scene.joints}
     return Inspection(
         scene=scene.name,
@@ -453,6 +462,7 @@ def _joint_facts(
         free_motions=motions.words(),
         coordinates=list(frame.labels),
         limits=_limit_facts(joint, frame, coordinates),
+        times=times_in_words(joint),
     )
 
 

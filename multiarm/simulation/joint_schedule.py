@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from multiarm.contacts.unilateral import UnilateralConstraints
+from multiarm.contacts.unilateral import CONTACT, UnilateralConstraints
 from multiarm.events.mode_guards import MomentNumber
 from multiarm.integration.step_control import shortest_step
 from multiarm.scene.joints.times import Moment, Touching, When
@@ -88,7 +88,8 @@ class JointSchedule:
         names = set()
         for u in closed:
             contact = self._constraints[u]
-            names |= {contact.owner, f"{contact.owner}/{contact.name}"}
+            if contact.kind == CONTACT:  # stops of joints and joints at rest are of arms, too
+                names |= {contact.owner, f"{contact.owner}/{contact.name}"}
         for k in range(len(self._joints)):
             moment = self._moment(k)
             if isinstance(moment, Touching) and moment.touching in names:

@@ -22,6 +22,7 @@ from multiarm.results.sinks import Sink
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.driver import FOR_STIFF_SCENES, Driver, End, where_of
 from multiarm.simulation.event_handling import EventHandler
+from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.simulation.record import RunStatistics, open_sink, run_statistics
 from multiarm.simulation.setup import (
@@ -142,6 +143,7 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     run = prepare(in_mode, sink, log, tighten)
     if events is not None:
         events.arm(run)
+    log_start(run.data, log, task.begin)
     return Driver(task, run, events, compile_time() - compiled_before)
 
 

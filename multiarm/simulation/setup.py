@@ -44,7 +44,6 @@ from multiarm.scene.consistency import carries_all_effects, causes_of_events, me
 from multiarm.scene.faults import place, shown
 from multiarm.scene.run import DEFAULT_ACCURACY, STEPS_CHOSEN_BY, AccuracySpec
 from multiarm.scene.values import is_finite
-from multiarm.simulation.guard_log import log_start
 from multiarm.simulation.solver_log import SolverLog
 from multiarm.tableaus import METHODS, VARIATIONAL
 
@@ -240,7 +239,6 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
     log.add(*(RunEvent(begin, EventKind.START, f"start: {line}") for line in report.lines()))
     solver_log = SolverLog(data, log)
     solver_log.collect(data, begin, state)
-    log_start(data, log, begin)
     if settings.adaptive:
         first_length = _first_length(task, stepping)
     step.stage.evaluations = 0  # statistics begin with the first step
@@ -270,9 +268,10 @@ def prepare(task: Task, sink: Sink, log: EventLog, tighten: float = 1.0) -> Run:
 
 def _check_effects(task: Task, name: str) -> None:
     """Refuse effects that a method cannot carry."""
-    has_friction = task.system.model.unilateral is not None
-    with_events = causes_of_events(task.system.scene.effects, has_friction)
-    if fault := method_fault(name, task.data.model.effects.with_states, with_events):
+    unilateral, effects = task.system.model.unilateral, task.system.scene.effects
+    with_events = causes_of_events(effects, unilateral is not None)
+    timed = unilateral is not None and bool(unilateral.timed)
+    if fault := method_fault(name, task.data.model.effects.with_states, with_events, timed):
         raise SceneError([Fault(fault, "integrator", ("run", "integrator"))])
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import colorsys
 import warnings
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
 
@@ -43,6 +44,7 @@ from multiarm.viewer.contact_tracks import (
     placed,
     surface_bodies,
 )
+from multiarm.viewer.joints_in_time import holding, places_on_second
 from multiarm.viewer.robot_bodies import Shapes, bodies_of_arms, bodies_of_robot
 from multiarm.viewer.shapes import object_mesh
 from multiarm.viewer.solids import Z_TO_X, box, cylinder
@@ -96,7 +98,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         time=trajectory.time[rows],
         bodies=bodies,
         contacts=contacts,
-        hinges=hinges_of(system, poses, colors),
+        hinges=hinges_of(system, trajectory, poses, colors),
         floor=float(floor),
         note="; ".join([*notes, *missing]),
         event_places=event_places(trajectory, trajectory.time[rows], contacts),
@@ -226,9 +228,11 @@ HINGE_SHAPES = ("axle", "rail", "sleeve", "ball")
 CENTRED = 0.05  # an axis that passes the object's centre nearer than this, of its distance
 
 
-def hinges_of(system: System, poses: BodyPoses, colors: dict[str, np.ndarray]) -> list[HingeTracks]:
+def hinges_of(
+    system: System, trajectory: Trajectory, poses: BodyPoses, colors: dict[str, np.ndarray]
+) -> list[HingeTracks]:
     """Return the visible joints at the samples of some poses."""
-    hinges = []
+    hinges, time = [], trajectory.time[poses.rows]
     for joint in system.scene.joints:
         if joint.drawn_as not in (*HINGE_SHAPES, "cross"):
             continue
@@ -236,7 +240,12 @@ def hinges_of(system: System, poses: BodyPoses, colors: dict[str, np.ndarray]) -
         frame = system.frames[name]
         on_first = poses.of(joint.first) @ frame.on_tip  # (K, 4, 4)
         on_second = poses.of(joint.second) @ frame.on_object
-        hinges += _hinges(joint, frame, on_first, on_second, colors[name])
+        if joint.intervals:
+            places = places_on_second(trajectory, joint, frame.on_object, time)
+            on_second = poses.of(joint.second) @ places
+        shown = holding(trajectory, joint, time)
+        of_joint = _hinges(joint, frame, on_first, on_second, colors[name])
+        hinges += [replace(hinge, shown=shown) for hinge in of_joint]
     return hinges
 
 

@@ -84,6 +84,7 @@ class HingeTracks:
     # of the body that carries the axis: z is the axis, an angle is counted from x; shape (K, 4)
     quaternion_xyzw: np.ndarray
     dials: tuple[Dial, ...] = ()
+    shown: np.ndarray | None = None  # whether it holds, (K,) of truth values; None: always
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from multiarm.results.event_log import Event, timed
 from multiarm.scene.bodies import BodyName
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.body_poses import BodyPoses, pose_at, positions_at
+from multiarm.viewer.joints_in_time import PlacedJoints, holding
 from multiarm.viewer.solids import revolve
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def contacts_of(
     system: System, trajectory: Trajectory, rows: np.ndarray, colors: dict[str, np.ndarray]
 ) -> list[ContactTracks]:
     """Return the contacts of connections and of the floor at some samples (`rows`) of a run."""
-    places = [_places(system, trajectory, row) for row in rows]
+    places = _places(system, trajectory, rows)
     points, normals = (np.array(side) for side in zip(*places, strict=True))  # (K, N, 3)
     tracks, wrenches = [], channels_of(trajectory.channels, "wrench")
     for owner, channel in channels_of(trajectory.channels, "contact_force").items():
@@ -95,17 +96,22 @@ def row_states(
 ) -> np.ndarray | None:
     """Return the states of contacts at some samples, codes (K, N); None if all are permanent.
 
-    A row of friction has the state of its contact; a contact without a state is touching.
+    A row of friction has the state of its contact; a contact without a state is touching.  Those of
+    a joint that does not hold are open.
     """
-    labels = _labels(trajectory, owner)
-    if not labels:
+    labels, joints = _labels(trajectory, owner), trajectory.scene.joints
+    joint = next((joint for joint in joints if joint.connection == owner), None)
+    holds = None if joint is None else holding(trajectory, joint, trajectory.time[rows])
+    if not labels and holds is None:
         return None
-    states = trajectory.contact_states[owner][rows]
     codes = np.full((len(rows), len(records)), ContactState.TOUCHING)
     for k, record in enumerate(records):
         name = record.parent if record.tangent else record.name
         if name in labels:
+            states = trajectory.contact_states[owner][rows]
             codes[:, k] = np.round(states[:, labels.index(name)])
+    if holds is not None:
+        codes[~holds] = ContactState.OPEN
     return codes
 
 
@@ -142,10 +148,18 @@ def _labels(trajectory: Trajectory, owner: str) -> tuple[str, ...]:
     return () if channel is None else trajectory.channels[channel].labels
 
 
-def _places(system: System, trajectory: Trajectory, row: int) -> tuple[np.ndarray, np.ndarray]:
-    state = system.state(**positions_at(trajectory, row))
+def _places(
+    system: System, trajectory: Trajectory, rows: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
     with system.borrow() as data:
-        return contact_places(data, state)
+        placed_joints = PlacedJoints(system, trajectory, data)
+        return [
+            contact_places(
+                placed_joints.at(float(trajectory.time[row])),
+                system.state(**positions_at(trajectory, row)),
+            )
+            for row in rows
+        ]
 
 
 SURFACE_OPACITY = 0.45

@@ -180,6 +180,8 @@ class Hinges:
         """Draw one joint."""
         node = f"joints/{hinge.name}"
         script.move(node, hinge.position, hinge.quaternion_xyzw)
+        if hinge.shown is not None:
+            script.set(node, "scale", np.where(hinge.shown, 1.0, HAIR)[:, None] * np.ones(3))
         script.put(f"{node}/axis", seen_through(self._axis(hinge), DARK * hinge.color))
         for dial in hinge.dials:
             if dial.turns:

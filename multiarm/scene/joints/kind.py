@@ -33,7 +33,7 @@ from multiarm.scene.bodies import (
     object_named,
     tip_named,
 )
-from multiarm.scene.faults import invalid, shown
+from multiarm.scene.faults import Parts, invalid, shown
 from multiarm.scene.joints.times import Begin, Interval, Moment, fault_of_times, intervals
 from multiarm.scene.registry import UserKind, called
 from multiarm.scene.text import parse_yaml
@@ -187,6 +187,20 @@ class Joint(UserKind):
     def intervals(self) -> tuple[Interval, ...]:
         """When it holds, in order; empty: all the time."""
         return intervals(getattr(self, "from"), self.until)
+
+    @property
+    def moments(self) -> dict[Parts, Moment]:
+        """Beginnings and ends of its intervals, by their places in the joint."""
+        begin, end = getattr(self, "from"), self.until
+        if isinstance(begin, tuple):
+            pairs = enumerate(begin)
+            return {("from", k, i): moment for k, pair in pairs for i, moment in enumerate(pair)}
+        written = {("from",): begin, ("until",): end}
+        return {where: moment for where, moment in written.items() if moment is not None}
+
+    def holds_at(self, t: float) -> bool:
+        """Whether it holds at a time [s], as far as times say."""
+        return not self.intervals or any(interval.has(t) for interval in self.intervals)
 
     @property
     def first(self) -> BodyName:

@@ -13,6 +13,7 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import BeforeValidator
+from typing_extensions import TypeAliasType
 
 from multiarm.scene.code import UserFunction, user_function
 from multiarm.scene.faults import invalid, shown
@@ -54,7 +55,9 @@ def _moment(value: Any) -> Any:
     )
 
 
-Moment = Annotated[float | Literal["never"] | When | Touching, BeforeValidator(_moment)]
+Moment = TypeAliasType(
+    "Moment", Annotated[float | Literal["never"] | When | Touching, BeforeValidator(_moment)]
+)
 
 
 class Interval(NamedTuple):
@@ -103,7 +106,9 @@ def moments(value: Any) -> Any:
     return _moment(value)
 
 
-Begin = Annotated[Moment | tuple[tuple[Moment, Moment], ...], BeforeValidator(moments)]
+Begin = TypeAliasType(
+    "Begin", Annotated[Moment | tuple[tuple[Moment, Moment], ...], BeforeValidator(moments)]
+)
 """A moment, or a list of pairs of moments."""
 
 
@@ -131,3 +136,13 @@ def fault_of_times(begin: Any, end: Any) -> str:
     if isinstance(begin, float) and isinstance(end, float) and not begin < end:
         return f"must be after 'from', {begin:g} s, got {end:g} s"
     return ""
+
+
+def without_function(value: Any) -> Any:
+    """``from`` or ``until`` without the events that functions tell: they do not come."""
+    if isinstance(value, tuple):
+        left = tuple(
+            (begin, without_function(end)) for begin, end in value if not isinstance(begin, When)
+        )
+        return left or NEVER
+    return NEVER if isinstance(value, When) else value

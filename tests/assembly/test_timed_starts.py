@@ -1,0 +1,158 @@
+"""Claims about starts of scenes whose joints hold for some of the time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_between_arms import from_, two_arms
+from event_scenes import arm
+from refusals import refused
+
+import multiarm as ma
+from multiarm.errors import SceneError
+from multiarm.scene import parse_scene
+from multiarm.simulation.inspection import inspect_system
+
+PLACE = {"xyz": [0.2, 0, 0]}
+APART = [1.5, 0.1, 0.2, 1.0, 0.3, 0.4]
+
+
+def compiled(data: dict) -> ma.System:
+    return ma.compile_system(parse_scene(data))
+
+
+def with_joint(times: dict, right: dict | None = None, **joint) -> dict:
+    """The scene with another joint of the right arm."""
+    data = two_arms(right=right, **times)
+    data["joints"][1] |= joint
+    return data
+
+
+def test_a_joint_that_takes_hold_later_is_not_assembled():
+    """Neither its gap nor the way round that it would be closed in counts at the start."""
+    turned = [0.5, 0, 0, 3.0, 0, 0]
+    system = compiled(with_joint(from_(1.0), arm("xyzXYZ", posture=turned), at=PLACE))
+    assert system.initial_state().joint_positions["right"].tolist() == turned
+    assert system.start_report.gaps["left"] == 0.0
+    assert system.start_report.joint_change == 0.0
+    with refused(SceneError, "right"):
+        compiled(with_joint({}, arm("xyzXYZ", posture=turned), at=PLACE))
+
+
+def test_a_joint_that_holds_until_later_is_assembled():
+    near = arm("xyzXYZ", posture=[0.21, 0, 0.1, 0, 0, 0])
+    system = compiled(with_joint({"until": 1.0}, near, at=PLACE))
+    start = system.initial_state().joint_positions["right"]
+    np.testing.assert_allclose(start[:3], [0.2, 0, 0.1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("joint", "free"),
+    [
+        ({"kind": "corner_gripper"}, ("turn x", "turn z")),
+        ({"kind": "point_on_plane"}, ("slide x", "slide y", "turn x", "turn y", "turn z")),
+        ({"kind": "wrenches", "wrenches": np.eye(6)[:5].tolist()}, ("turn z",)),
+        ({"kind": "revolute"}, ("turn z",)),
+    ],
+)
+@pytest.mark.parametrize("at", [None, PLACE])
+def test_free_motions_are_those_of_the_joint_where_it_holds(joint, free, at):
+    """As of the same joint that holds all the time, wherever the bodies are at the start."""
+    place = {} if at is None else {"at": at}
+    right = arm("xyzXYZ", posture=APART)
+    assert compiled(with_joint(from_(1.0), right, **joint, **place)).frames["right"].labels == free
+    closed = compiled(with_joint({}, **joint))
+    assert closed.frames["right"].labels == free
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        {"plane": {"point": [0.2, 0, 0], "normal": [1, 0, 0]}},
+        {"ellipsoid": {"semi_axes": [0.2, 0.1, 0.1]}},
+    ],
+)
+def test_contacts_that_are_apart_have_free_motions(surface):
+    contact = {"arm": {"sphere": {"radius": 0.01}}, "object": surface}
+    right = arm("xyzXYZ", posture=APART)
+    system = compiled(with_joint(from_(1.0), right, kind="contacts", contacts=[contact]))
+    assert len(system.frames["right"].labels) == 5
+
+
+def test_weight_is_carried_by_the_joints_that_hold_at_the_start():
+    data = two_arms(**from_(1.0))
+    assert compiled(data).start_warnings == ()
+    data["joints"][0]["from"] = 0.5
+    (warning,) = compiled(data).start_warnings
+    assert "at the start" in warning
+    data["joints"][0]["from"] = 0.0
+    assert compiled(data).start_warnings == ()
+
+
+def test_constant_torques_hold_the_start_with_the_joints_that_hold_there():
+    """The left arm carries all of the box, and the right one itself alone."""
+    control = {"kind": "harmonic", "amplitude": {}, "frequency": 1.0}
+    system = compiled(two_arms(control=control, **from_(1.0)))
+    torques = ma.evaluate(system).joint_torques
+    weight = 9.81 * system.scene.object.mass
+    own = 9.81 * 1.0  # of an arm
+    np.testing.assert_allclose(torques["left"][2], weight + own, rtol=1e-12)
+    np.testing.assert_allclose(torques["right"][2], own, rtol=1e-12)
+
+
+def test_freedom_is_counted_with_the_joints_that_hold_at_the_start():
+    inspection = inspect_system(compiled(two_arms(**from_(1.0))))
+    assert inspection.freedom.constraints == 6
+    assert inspection.freedom.mobility == 12
+    assert [joint.times for joint in inspection.joints] == ["", "from 1 s"]
+    assert inspection.carrying.possible
+
+
+def test_the_posture_is_solved_for_where_the_arm_takes_hold():
+    solve = {"posture": "solve"}
+    system = compiled(with_joint(from_(1.0), solve, at=PLACE))
+    tip = system.kinematics(system.initial_state()).tips["right"].position
+    np.testing.assert_allclose(tip, [0.2, 0, 0.1], atol=1e-9)
+    with refused(SceneError, "$.arms.right.posture", "$.joints[1].at"):
+        compiled(with_joint(from_(1.0), solve))
+
+
+def test_the_posture_is_solved_for_the_joint_that_takes_hold_first():
+    data = with_joint(from_(2.0), {"posture": "solve"}, at=PLACE)
+    earlier = {"xyz": [-0.2, 0, 0]}
+    data["joints"].append(
+        {
+            "between": ["right", "object"],
+            "name": "first",
+            "kind": "weld",
+            "at": earlier,
+            "from": 1.0,
+        }
+    )
+    tip = compiled(data).kinematics(compiled(data).initial_state()).tips["right"].position
+    np.testing.assert_allclose(tip, [-0.2, 0, 0.1], atol=1e-9)
+
+
+def test_a_posture_that_is_not_written_is_not_sought_for_later_joints():
+    system = compiled(with_joint(from_(1.0), {"posture": None}, at=PLACE))
+    assert system.initial_state().joint_positions["right"].tolist() == [0.0] * 6
+
+
+def test_objects_are_placed_by_joints_that_hold_at_the_start():
+    data = two_arms()
+    plate = {"shape": {"box": [0.1, 0.1, 0.02]}, "mass": 1.0}
+    data["objects"] = {"box": data.pop("object"), "plate": plate}
+    for joint in data["joints"]:
+        joint["object"] = "box"
+    on_box = {"between": ["plate", "box"], "kind": "weld"}
+    data["joints"] += [
+        {**on_box, "name": "later", "at": {"xyz": [0, 0, 0.5]}, "from": 1.0},
+        {**on_box, "name": "now", "at": {"xyz": [0, 0, 0.3]}, "until": 1.0},
+    ]
+    start = compiled(data).initial_state()
+    np.testing.assert_allclose(start.objects["plate"].position, [0, 0, 0.4], atol=1e-12)
+
+
+def test_summaries_say_when_joints_hold():
+    system = compiled(two_arms(**from_([[1, 2], [4, "never"]])))
+    assert "holds from 1 s until 2 s, from 4 s" in system._repr_html_()

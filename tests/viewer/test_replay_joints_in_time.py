@@ -1,0 +1,76 @@
+"""Claims about replays of runs in which joints take hold and let go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_between_arms import from_, two_arms
+from event_scenes import arm
+
+import multiarm as ma
+from multiarm.results.contact_states import ContactState
+from multiarm.scene import parse_scene
+from multiarm.viewer.animate import animate
+
+SPEED = 0.5  # [m/s], of the right hand along x
+
+
+@pytest.fixture(scope="module")
+def animation():
+    """A hand that slides past a box, holds it for two stretches of time, and slides on a rail."""
+    right = arm("xyzXYZ", posture=[0, 0, 0.1, 0, 0, 0], velocity=[SPEED, 0, 0, 0, 0, 0])
+    data = two_arms(control="none", right=right, **from_([[0.1, 0.2], [0.4, 0.5]]))
+    data |= {"gravity": None, "effects": {}}
+    data["joints"][1] |= {"kind": "prismatic", "axis": [1, 0, 0]}
+    system = ma.compile_system(parse_scene(data))
+    run = ma.simulate(system, 0.6, accuracy=1e-6, output_step=0.01, certificate=False)
+    return animate(run, fps=100.0, speed=1.0, meshes=False)
+
+
+def held(time):
+    return ((time >= 0.1) & (time < 0.2)) | ((time >= 0.4) & (time < 0.5))
+
+
+def away_from_events(time):
+    return np.abs(time[:, None] - [0.1, 0.2, 0.4, 0.5]).min(axis=1) > 1e-6
+
+
+def test_contacts_are_shown_open_while_their_joint_does_not_hold(animation):
+    (track,) = [track for track in animation.contacts if track.arm == "right"]
+    sure = away_from_events(animation.time)
+    expected = np.where(held(animation.time), ContactState.TOUCHING, ContactState.OPEN)
+    assert (track.state[sure] == expected[sure, None]).all()
+    (other,) = [track for track in animation.contacts if track.arm == "left"]
+    assert other.state is None
+
+
+def test_joints_are_shown_while_they_hold(animation):
+    (hinge,) = [hinge for hinge in animation.hinges if hinge.arm == "right"]
+    sure = away_from_events(animation.time)
+    assert (hinge.shown == held(animation.time))[sure].all()
+
+
+def test_joints_are_shown_where_they_have_taken_hold(animation):
+    """The rail stays on the box where the hand was when it took hold."""
+    (hinge,) = [hinge for hinge in animation.hinges if hinge.arm == "right"]
+    for begin, end in ((0.1, 0.2), (0.4, 0.5)):
+        frames = (animation.time > begin + 1e-6) & (animation.time < end - 1e-6)
+        place = [SPEED * begin, 0, 0.1]
+        np.testing.assert_allclose(
+            hinge.position[frames], np.tile(place, (frames.sum(), 1)), atol=1e-8
+        )
+
+
+def test_contact_points_are_on_both_bodies_where_the_joint_has_taken_hold(animation):
+    """Points that slide on the rail move with the hand, not with the place of the start."""
+    (track,) = [track for track in animation.contacts if track.arm == "right"]
+    late = (animation.time > 0.4 + 1e-6) & (animation.time < 0.5 - 1e-6)
+    middle = track.point[late].mean(axis=1)
+    np.testing.assert_allclose(middle[:, 1], 0.0, atol=1e-3)
+    np.testing.assert_allclose(middle[:, 2], 0.1, atol=1e-3)
+
+
+def test_events_flash_where_joints_take_hold(animation):
+    places = {round(event.time, 6): event.where for event in animation.event_places}
+    assert sorted(places) == [0.1, 0.2, 0.4, 0.5]
+    np.testing.assert_allclose(places[0.4], [SPEED * 0.4, 0, 0.1], atol=1e-8)
