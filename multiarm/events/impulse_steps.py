@@ -243,10 +243,7 @@ class ImpulseStepper:
             involved.constraints, involved.at, solution, involved.response, {}
         )
         by_impulses.keep_closed(frozenset())
-        states, rows = self._states_without(pressed), list(involved.at)
-        for u, state in by_impulses.states.items():
-            states[u] = state
-        held = tuple(sorted(rows[k] for k in by_impulses.held))
+        states, held = by_impulses.of_mode(self._states_without(pressed))
         off_patch, numbers = involved.off_patch, list(involved.constraints)
         above = off_patch.union(self._above, by_impulses.states)
         below = below_patch_constraints(self._modes.full, above)

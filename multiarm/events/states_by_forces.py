@@ -8,7 +8,7 @@ opens only if others let it, and one that holds both ways stays closed without a
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Sequence, Set
 
 import numpy as np
 
@@ -131,6 +131,13 @@ class StatesByForces:
             self.states[u] = ContactState.SLIDING if slides else ContactState.TOUCHING
         rows = list(self._at)
         self.held = [k for k in self.held if k < len(rows) and rows[k] not in without_friction]
+
+    def of_mode(self, states: Sequence[ContactState]) -> tuple[list[ContactState], tuple[int, ...]]:
+        """States of all constraints, ``states`` those of the others, and all held rows."""
+        every, rows = list(states), list(self._at)
+        for u, state in self.states.items():
+            every[u] = state
+        return every, tuple(sorted(rows[k] for k in self.held))
 
     def _can_open(self, constraint: Constraint) -> bool:
         """Whether the held rows let the gap of a constraint move."""

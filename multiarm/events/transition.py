@@ -355,10 +355,7 @@ class Transition:
         )
         by_forces.release(self._unloaded)
         by_forces.keep_closed(problem.fixed)
-        states = list(problem.states)
-        for u, state in by_forces.states.items():
-            states[u] = state
-        held = tuple(sorted(problem.rows[k] for k in by_forces.held))
+        states, held = by_forces.of_mode(problem.states)
         every = [*problem.rows, *self._modes.bilateral_rows]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         return self._mode(states, held, pulling, by_forces.directions), forces

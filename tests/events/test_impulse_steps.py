@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -206,3 +207,25 @@ def test_a_contact_that_stays_closed_does_not_hit(monkeypatch):
     hold_modes_from(0.1, monkeypatch)
     chatters = [event for event in slide(1e-6).events if event["kind"] == "chatters"]
     assert [event["after"] for event in chatters] == [{"hits": 0}]
+
+
+def test_a_phase_that_was_left_too_early_comes_back_twice_as_long(monkeypatch):
+    """After every phase the run is made to chatter again at its next event."""
+    lengths = []
+    ended = event_handling.EventHandler._end_phase
+
+    def end(handler, run, phase):
+        lengths.append((phase.begin, run.clock.t, phase.least))
+        ended(handler, run, phase)
+
+    monkeypatch.setattr(event_handling.EventHandler, "_end_phase", end)
+    monkeypatch.setattr(event_handling.EventHandler, "_accumulate", lambda handler, t: True)
+    body = box(height=1e-4, twist=[0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
+    trajectory = run(on_floor(body, 0.5, mu=0.2), 0.05, accuracy=1e-5)
+    assert trajectory.status == "completed" and len(lengths) > 2
+    soon = [(a, b) for a, b in pairwise(lengths) if b[2] > 0.0]
+    assert soon
+    for (begin, end_, _), (_, _, least) in soon:
+        assert least <= 2.0 * (end_ - begin)
+    for begin, end_, least in lengths:
+        assert end_ - begin >= least

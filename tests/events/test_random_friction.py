@@ -25,7 +25,7 @@ RUNS = [
 # Contacts stick and slip in turns here: events alone do not lead through.
 CHATTERING = [
     ("fingertips", 6, 1e-6), ("fingertips", 9, 1e-4), ("stack", 5, 1e-4), ("stack", 9, 1e-4),
-    ("mixed", 0, 1e-4),
+    ("mixed", 0, 1e-4), ("stack", 4, 1e-5),
 ]  # fmt: skip
 DIRECTION, POWER = "friction not against slip", "friction power"
 # The direction of slip is smoothed where it is slow; then friction is not quite against it.

@@ -19,6 +19,11 @@ class _OnlyTime:
         return ImpulseStep(point, 0.0, {}, frozenset(), solved=None)
 
 
+def test_a_phase_lasts_its_least_time():
+    phase = ImpulsePhase(_OnlyTime(), 0.003, ended=Mode((), ()), begin=1.0, least=0.25)
+    assert phase.lasts(1.2) and not phase.lasts(1.25)
+
+
 @pytest.mark.parametrize("sample", range(1, 60))
 def test_steps_end_just_at_the_samples(sample):
     nothing = np.zeros(0)

@@ -17,8 +17,11 @@ contact force computation for nonpenetrating rigid bodies", 1994.)
 **With friction** the problem is not one of minimisation. Newton's method solves the equations of
 the present modes (:mod:`~multiarm.events.complementarity.semismooth`), here with steps of minimum
 norm from singular values: where rows depend on each other the forces that it ends at depend on the
-problem alone, not on rounding. It may lose digits or cycle; then compiled iterations of more sorts
-find the modes (:mod:`~multiarm.events.complementarity.impulses`).
+problem alone, not on rounding. The compiled one of
+:mod:`~multiarm.events.complementarity.semismooth` is faster and ends at forces near to those where
+it began: right for steps in time, not for the event of a run that must not depend on what was
+before. Steps of minimum norm may lose digits or cycle; then compiled iterations of more sorts find
+the modes (:mod:`~multiarm.events.complementarity.impulses`).
 """
 
 from __future__ import annotations
