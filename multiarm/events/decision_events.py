@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
+from multiarm.events.taking_hold import Switch
 from multiarm.events.transition import Decision, Hit
 from multiarm.results.contact_states import ContactState
 from multiarm.results.event_kinds import EventKind
@@ -25,6 +28,23 @@ def decision_events(modes: Modes, t: float, decision: Decision, before: Mode) ->
         kind = _kind(constraint, was, now, hits.get(u), u in decision.rested)
         if kind:
             events.append(_event(modes, t, constraint, kind, was, now, hits.get(u)))
+    return events
+
+
+def switch_events(modes: Modes, t: float, switch: Switch, decision: Decision) -> list[RunEvent]:
+    """Events of timed joints that take hold and let go; the loss is that of all at this instant."""
+    names = [joint.connection for joint in modes.unilateral.timed]
+    impulses, lost, events = {}, 0.0, []
+    if switch.grip is not None:
+        impulses = switch.grip.impulses(decision.impulses)
+        lost = switch.grip.energy_lost - decision.energy
+    for k in sorted(switch.taking):
+        event = RunEvent(t, EventKind.ATTACHED, arm=names[k], energy_loss=lost)
+        impulse = tuple(impulses[names[k]].tolist())
+        events.append(replace(event, impulse=impulse, where=modes.where(k), at=modes.place_of(k)))
+    for k in sorted(switch.letting):
+        event = RunEvent(t, EventKind.DETACHED, arm=names[k], energy_loss=0.0)
+        events.append(replace(event, impulse=(0.0,) * 6, where=modes.where(k)))
     return events
 
 

@@ -8,13 +8,14 @@ impact: their impulses act on bodies that hold each other already.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
+from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.dynamics.contact_forces import wrenches_of
 from multiarm.dynamics.contact_geometry import block_inertias, force_directions
-from multiarm.dynamics.equations import update_kinematics, update_rows
+from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import joint_of, require_ok
 from multiarm.dynamics.impacts import Impact, inelastic_impact
@@ -23,6 +24,7 @@ from multiarm.errors import SolverError
 from multiarm.events.joint_places import frame_motions
 from multiarm.events.mode_guards import MomentNumber
 from multiarm.events.modes import Modes
+from multiarm.events.row_dynamics import RowDynamics
 
 # Part of the terms of a rate that is rounding.
 ROUNDING = 1e-14
@@ -58,8 +60,7 @@ class TakingHold:
         impact = self._stopped(self._velocity)
         self.energy_lost = impact.energy_lost
         full.arrays.state.velocity[:] += impact.change
-        require_ok(modes.bilateral, update_kinematics(modes.bilateral.struct))
-        require_ok(full, update_rows(full.struct))
+        RowDynamics(modes).update()
 
     def impulses(self, of_contacts: Mapping[int, float]) -> dict[str, np.ndarray]:
         """Impulses (6,) of all timed joints that hold, on their second bodies [N s, N m s].
@@ -93,7 +94,41 @@ class TakingHold:
         )
 
 
-def require_reach(modes: Modes, timed: int) -> None:
+class Switch(NamedTuple):
+    """What timed joints do at an instant."""
+
+    grip: TakingHold | None  # the impact of those that take hold
+    taking: Set[int]
+    letting: Set[int]
+
+
+def switch_joints(
+    modes: Modes, holding: frozenset[int], awaited: frozenset[MomentNumber]
+) -> Switch:
+    """Let timed joints take hold and let go, at the kinematics of all rows in the data.
+
+    Parameters
+    ----------
+    modes : Modes
+    holding, awaited : frozenset
+        From now on, see :class:`~multiarm.events.modes.Modes`.
+
+    Raises
+    ------
+    SolverError
+        When bodies are too far apart, or move too fast, for one that takes hold.
+    """
+    taking, letting = holding - modes.holding, modes.holding - holding
+    for k in sorted(taking):
+        _require_reach(modes, k)
+        if modes.unilateral.timed[k].located:
+            modes.place(k)
+    modes.hold(holding, awaited)
+    RowDynamics(modes).update()
+    return Switch(TakingHold(modes) if taking else None, taking, letting)
+
+
+def _require_reach(modes: Modes, timed: int) -> None:
     """Refuse to let a joint take hold of bodies that are too far apart, or move too fast.
 
     At the kinematics of all rows.

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Set
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +29,7 @@ from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.complementarity import Verdict
 from multiarm.events.consistent_mode import enter_consistent_mode
-from multiarm.events.decision_events import decision_events
+from multiarm.events.decision_events import decision_events, switch_events
 from multiarm.events.event_detection import (
     closed_constraints,
     off_patch_constraints,
@@ -43,7 +41,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import IMPACTS, Modes
-from multiarm.events.taking_hold import TakingHold, hold_at, require_reach
+from multiarm.events.taking_hold import Switch, hold_at, switch_joints
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -73,14 +71,6 @@ JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a 
 IMPULSE_STEPS = 100
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
-
-
-class Switch(NamedTuple):
-    """What timed joints do at an instant."""
-
-    grip: TakingHold | None  # the impact of those that take hold
-    taking: Set[int]
-    letting: Set[int]
 
 
 @dataclass
@@ -250,7 +240,7 @@ class EventHandler:
         t = run.clock.t
         decision = self._decide(t, participants)
         if switch is not None:
-            self._log_switch(t, switch, decision)
+            self._log_events(switch_events(self.modes, t, switch, decision))
         self._add_impact(run, decision)
         ended = before if before.holding == self.modes.holding else None
         decision, holds = enter_consistent_mode(self.modes, decision, ended)
@@ -306,39 +296,12 @@ class EventHandler:
             self._schedule.pass_moment(k, t)
         self._last_length = run.clock.h
         self._load(run)
-        holding = self._schedule.holding
-        taking, letting = holding - modes.holding, modes.holding - holding
-        for k in sorted(taking):
-            require_reach(modes, k)
-            if modes.unilateral.timed[k].located:
-                modes.place(k)
-        modes.hold(holding, self._schedule.awaited)
-        self._load(run)
-        grip = TakingHold(modes) if taking else None
-        if grip is not None:
-            self._add_work(run, -grip.energy_lost)
+        switch = switch_joints(modes, self._schedule.holding, self._schedule.awaited)
+        if switch.grip is not None:
+            self._add_work(run, -switch.grip.energy_lost)
         off_patch = off_patch_constraints(modes, before, set())
         participants = Participants(self._touching([]), off_patch=off_patch, elastic=False)
-        return self._go_on(run, participants, before, Switch(grip, taking, letting))
-
-    def _log_switch(self, t: float, switch: Switch, decision: Decision) -> None:
-        """Log what joints have done; the loss is that of all at this instant."""
-        modes, timed = self.modes, self.modes.unilateral.timed
-        names = [joint.connection for joint in timed]
-        impulses, lost, events = {}, 0.0, []
-        if switch.grip is not None:
-            impulses = switch.grip.impulses(decision.impulses)
-            lost = switch.grip.energy_lost - decision.energy
-        for k in sorted(switch.taking):
-            kind, impulse = EventKind.ATTACHED, tuple(impulses[names[k]].tolist())
-            event = RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=lost)
-            events.append(replace(event, where=modes.where(k), at=modes.place_of(k)))
-        for k in sorted(switch.letting):
-            kind, impulse = EventKind.DETACHED, (0.0,) * 6
-            event = RunEvent(t, kind, arm=names[k], impulse=impulse, energy_loss=0.0)
-            events.append(replace(event, where=modes.where(k)))
-        self.count += len(events)
-        self._log.add(*events)
+        return self._go_on(run, participants, before, switch)
 
     def stop_at_switch(self, run: Run) -> None:
         """Let the loop stop where the next joint is switched, or at an event before."""
@@ -521,10 +484,12 @@ class EventHandler:
         self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
         self.stop_at_switch(run)
 
-    def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
-        events = decision_events(self.modes, t, decision, before)
+    def _log_events(self, events: list[RunEvent]) -> None:
         self.count += len(events)
         self._log.add(*events)
+
+    def _log_decision(self, t: float, decision: Decision, before: Mode) -> None:
+        self._log_events(decision_events(self.modes, t, decision, before))
         was = before.states or (ContactState.OPEN,) * len(decision.mode.states)
         self._schedule.touched(
             u
