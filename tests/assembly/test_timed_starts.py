@@ -108,6 +108,15 @@ def test_freedom_is_counted_with_the_joints_that_hold_at_the_start():
     assert inspection.carrying.possible
 
 
+@pytest.mark.parametrize(("times", "possible"), [(from_(0.0), True), (from_(1.0), False)])
+def test_what_is_carried_is_judged_with_the_joints_that_hold_at_the_start(times, possible):
+    """A ball joint beside the middle of the box cannot carry it alone."""
+    data = two_arms(**times)
+    data["arms"]["left"]["posture"] = [-0.2, 0, 0.1, 0, 0, 0]
+    data["joints"][0] = {"arm": "left", "kind": "ball"}
+    assert inspect_system(compiled(data)).carrying.possible == possible
+
+
 def test_the_posture_is_solved_for_where_the_arm_takes_hold():
     solve = {"posture": "solve"}
     system = compiled(with_joint(from_(1.0), solve, at=PLACE))
