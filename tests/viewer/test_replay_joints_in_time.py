@@ -10,14 +10,18 @@ from event_scenes import arm
 import multiarm as ma
 from multiarm.results.contact_states import ContactState
 from multiarm.scene import parse_scene
+from multiarm.scene.values import rotation_matrix
 from multiarm.viewer.animate import animate
 
 SPEED = 0.5  # [m/s], of the right hand along x
 
 
-def sliding_hand(**joint):
-    """A run of a hand that slides past a box and holds it for two stretches of time."""
-    right = arm("xyzXYZ", posture=[0, 0, 0.1, 0, 0, 0], velocity=[SPEED, 0, 0, 0, 0, 0])
+def sliding_hand(spin=0.0, **joint):
+    """A run of a hand that slides past a box and holds it for two stretches of time.
+
+    It turns about z at a rate ``spin`` [rad/s], too.
+    """
+    right = arm("xyzXYZ", posture=[0, 0, 0.1, 0, 0, 0], velocity=[SPEED, 0, 0, 0, 0, spin])
     data = two_arms(control="none", right=right, **from_([[0.1, 0.2], [0.4, 0.5]]))
     data |= {"gravity": None, "effects": {}}
     data["joints"][1] |= joint
@@ -69,16 +73,16 @@ def test_joints_are_shown_where_they_have_taken_hold(animation):
         )
 
 
-def test_contact_points_are_those_of_the_hand_where_it_has_taken_hold():
-    """In a weld they are as far from the hand, at whatever place of the box it holds."""
-    run = sliding_hand()
+def test_contact_normals_turn_with_the_hand_from_where_it_has_taken_hold():
+    """Those of a weld have the same directions in the hand's axes, however it holds the box."""
+    run = sliding_hand(spin=3.0)
     animation = animation_of(run)
     (track,) = [track for track in animation.contacts if track.arm == "right"]
     frames = held(animation.time) & away_from_events(animation.time)
     rows = np.searchsorted(run.time, animation.time[frames])
-    points = track.point[frames] - run.tip_positions["right"][rows, None]
-    distance = np.linalg.norm(points, axis=2)
-    np.testing.assert_allclose(distance, np.tile(distance[0], (len(distance), 1)), atol=1e-8)
+    hands = [rotation_matrix((), q) for q in run.tip_quaternions_xyzw["right"][rows]]
+    normals = track.normal[frames] @ np.array(hands)
+    np.testing.assert_allclose(normals, np.tile(normals[0], (len(normals), 1, 1)), atol=1e-8)
 
 
 def test_events_flash_where_joints_take_hold(animation):
