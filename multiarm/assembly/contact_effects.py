@@ -102,12 +102,13 @@ def unilateral_constraints(
     spec = scene.effects.unilateral_contacts
     as_written = spec is not None and spec.start == "as_written"
     unable_to_open = [constraint.row for constraint in rows.constraints if constraint.bilateral]
+    closed = [*rows.bilateral, *unable_to_open, *(row for joint in joints for row in joint.rows)]
     constraints = UnilateralConstraints(
         records=rows.records,
         constraints=tuple(rows.constraints),
         model=tuple(rows.model),
         of_laws=tuple(rows.model),
-        assembled=tuple(sorted([*rows.bilateral, *unable_to_open]) if as_written else rows.model),
+        assembled=tuple(sorted(closed) if as_written else rows.model),
         bilateral=tuple(rows.bilateral),
         compliant=rows.compliant_contacts(),
         timed=joints,

@@ -295,6 +295,7 @@ class EventHandler:
         for k in due:
             self._schedule.pass_moment(k, t)
         self._last_length = run.clock.h
+        self._usual_length = max(self._usual_length, run.clock.h)
         self._load(run)
         switch = switch_joints(modes, self._schedule.holding, self._schedule.awaited)
         if switch.grip is not None:

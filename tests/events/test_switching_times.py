@@ -180,6 +180,19 @@ def test_a_run_that_begins_within_an_interval_holds_from_its_start():
     assert when == [0.3, 0.5, 0.6]
 
 
+FLOOR_BELOW = {
+    "unilateral_contacts": {"start": "as_written"}, "floor": {"at": {"xyz": [0, 0, -3.0]}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("effects", [{}, FLOOR_BELOW], ids=["alone", "floor"])
+def test_a_joint_that_holds_at_the_start_stops_its_bodies_there(effects):
+    """Whatever the contacts do at the start."""
+    trajectory = simulate(pushed({"until": 0.3}, force=5.0, effects=effects), 0.6)
+    np.testing.assert_allclose(trajectory.object_twist[-1, 0], 0.3, atol=TIME)
+    assert kinds_and_times(trajectory) == (["detached"], [0.3])
+
+
 @pytest.mark.parametrize("begin", [0.25, 0.7])
 def test_a_run_may_end_when_a_joint_is_switched(begin):
     table = pushed({"from": begin}, speed=0.5)

@@ -254,7 +254,7 @@ class Verdict(NamedTuple):
     message : str
     switches : int
     gained : float
-        Largest energy gained at a switch, of the largest energy [1].
+        Largest energy gained at a switch, of the largest energy or work [1].
     driven : bool
         Something does work from outside.
     risen : float
@@ -287,7 +287,8 @@ def judge(table: Table, accuracy: float) -> Verdict:
     if run.status != "completed":
         end = next((key for key, text in REASONS.items() if text in run.message), "failed")
     kinetic = run.kinetic_energy
-    size = max(float(np.max(kinetic)), 1e-3)
+    works = [np.ptp(work) for work in (run.potential_energy, *run.effect_works.values())]
+    size = max(float(np.max(kinetic)), *map(float, works), 1e-3)
     losses = [e["energy_loss"] for e in switches(run)]
     passive = sum(
         (run.effect_works[name] for name in run.effect_works if name in PASSIVE), 0.0 * kinetic
