@@ -48,6 +48,9 @@ from multiarm.jit.structs import (
 
 # Slower slips have the direction of their roundings [m/s].
 ROUNDED_SLIP = 1e-10
+# Smaller velocities orthogonal to the last direction are roundings, which slow slips would enlarge
+# in the stages of a step [m/s].
+ROUNDED_TURN = 1e-12
 
 
 class FrictionNumbers(Numbers):
@@ -94,6 +97,8 @@ def write_direction(slides, s, first, second, sampled):
     d0, d1, slow = slides.direction[s, 0], slides.direction[s, 1], slides.numbers.slow
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
+    if p0 * p0 + p1 * p1 < ROUNDED_TURN * ROUNDED_TURN:
+        p0 = p1 = 0.0
     root = math.sqrt(along * along + slow * slow)
     e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
     size = math.sqrt(e0 * e0 + e1 * e1)
