@@ -38,7 +38,7 @@ ENDING = 10.0
 LEFT = 4.0
 # Smallest speed of slip with a direction of its own, and the one of adaptive methods, whose steps
 # resolve how slower slips turn; contacts may creep at the speed of their tolerance [m/s].
-SLOWEST, SLOW = 1e-9, 1e-8
+SLOWEST, SLOW = 1e-9, 1e-7
 # Shortest first step [s].
 SHORTEST = 1e-12
 
