@@ -36,8 +36,8 @@ from multiarm.simulation.setup import Tolerance
 ENDING = 10.0
 # Speeds that are left at rest are as small as the step's errors, times this factor.
 LEFT = 4.0
-# Smallest speed of slip with a direction of its own, and the one of adaptive methods, whose steps
-# resolve how slower slips turn; contacts may creep at the speed of their tolerance [m/s].
+# Speeds of slip below which its direction is smoothed in steps of adaptive methods: their tolerance,
+# between these [m/s].  Smaller ones take more steps, larger ones let contacts creep.
 SLOWEST, SLOW = 1e-9, 1e-7
 # Shortest first step [s].
 SHORTEST = 1e-12
