@@ -16,7 +16,6 @@ import numpy as np
 from multiarm.assembly.joints import SceneRows
 from multiarm.assembly.robots import Robots, gravity_of
 from multiarm.contacts.joint import FRAME_WIDTH, Joint, JointFrame
-from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.control.program import ControlProgram
 from multiarm.dynamics.arrays import COUPLED, Constants, FloatingBases, FreeComponents, TipFrame
 from multiarm.dynamics.connections import BodyTable, Connection, Connections, surroundings_of
@@ -49,7 +48,6 @@ from multiarm.jit.rows import as_row, width
 from multiarm.robots.backends import Backends
 from multiarm.robots.robot import Robot
 from multiarm.scene import Scene
-from multiarm.scene.joints.times import When
 from multiarm.scene.values import of_surroundings
 
 # Functions of an evaluation: compiled at once, and when first called.
@@ -224,17 +222,11 @@ def _constants(
         dense=scene.run.solver == "dense",
         calls_user=bool(rows.packed.surfaces)
         or effects.calls_user
-        or _has_functions(rows.unilateral),
+        or (rows.unilateral is not None and rows.unilateral.has_functions),
         **_frame_constants(bodies, rows.layout.owners, rows.connections, frames),
         **row_constants(rows.packed.table, rows.layout),
         **effect_constants(effects),
     )
-
-
-def _has_functions(unilateral: UnilateralConstraints | None) -> bool:
-    """Whether functions tell when some joints hold."""
-    timed = () if unilateral is None else unilateral.timed
-    return any(isinstance(moment, When) for joint in timed for moment in joint.moments)
 
 
 def _floating_bases(layout: Layout, backends: Backends) -> FloatingBases:

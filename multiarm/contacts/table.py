@@ -33,7 +33,7 @@ from multiarm.geometry.records import (
     Surface,
 )
 from multiarm.jit.kernels import copy, plain
-from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, row_of, width
+from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, offset_of, row_of, width
 from multiarm.jit.structs import Floats2, Ints1, Ints2
 
 
@@ -346,7 +346,9 @@ def copy_geometry(source: ContactTable, k: int, table: ContactTable, record: int
     for at, of_source in pairs:
         copy_geometry(source, of_source, table, at)
     for i in range({ON_SURFACE: 1, PAIR: 2}.get(other.kind, 0)):
-        table.shapes[code.shape + i] = source.shapes[other.shape + i]
+        shape, function = table.shapes[code.shape + i], offset_of(Shape, "function")
+        shape[:function] = source.shapes[other.shape + i, :function]  # users' functions stay
+        shape[function + 1 :] = source.shapes[other.shape + i, function + 1 :]
 
 
 class JointRows(NamedTuple):

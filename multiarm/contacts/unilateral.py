@@ -24,7 +24,7 @@ import numpy as np
 
 from multiarm.contacts.table import JointRow, Record, WheelRow
 from multiarm.geometry.records import Contact
-from multiarm.scene.joints.times import Interval, Moment
+from multiarm.scene.joints.times import Interval, Moment, When
 from multiarm.scene.values import of_surroundings
 
 CONTACT, LIMIT, DRY_JOINT = "contact", "limit", "joint friction"
@@ -186,6 +186,11 @@ class UnilateralConstraints:
         """The same for control that counts the friction of contacts that only push."""
         tangents = [row for contact in self.grips for row in contact.tangents]
         return replace(self, of_laws=tuple(sorted([*self.model, *tangents])))
+
+    @property
+    def has_functions(self) -> bool:
+        """Whether functions tell when some timed joints hold."""
+        return any(isinstance(moment, When) for joint in self.timed for moment in joint.moments)
 
     def holding_at(self, t: float) -> frozenset[int]:
         """Numbers of the timed joints that hold at a time [s], as far as times say."""

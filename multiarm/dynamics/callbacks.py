@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import math
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -177,11 +177,36 @@ class ControlCallback(UserCallback):
         out = variables.control.torque
         super().__init__(function, name, self._read_answer, out, layout, variables, owner)
         self._timed, self._said = timed, list[tuple[str, bool]]()
+        self._recorded_words: list[list[tuple[str, bool]]] = []
+        self.listen(lambda: None)
+
+    def listen(self, notify: Callable[[], None]) -> None:
+        """Forget commands, and call a function where there are others."""
         self.commands: list[tuple[str, bool]] = []
-        self.notify: Callable[[], None] = lambda: None
+        self.notify = notify
+
+    def forget(self) -> None:
+        """Delete the recorded calls, before another run."""
+        super().forget()
+        self._recorded_words.clear()
+
+    def remembers(self) -> bool:
+        """Whether repeated calls give other torques or commands than the recorded ones."""
+        if super().remembers():
+            return True
+        for (t, state, _), said in zip(self._recorded, self._recorded_words, strict=True):
+            try:
+                self._call(t, state.copy())
+            except MultiarmError:
+                continue
+            if self._said != said:
+                return True
+        return False
 
     def _write(self) -> None:
         super()._write()
+        if len(self._recorded) > len(self._recorded_words):
+            self._recorded_words.append(list(self._said))
         if self._said:
             self.commands += self._said
             self.notify()
@@ -192,7 +217,13 @@ class ControlCallback(UserCallback):
         if isinstance(answer, Mapping) and not {ATTACH, DETACH}.isdisjoint(answer):
             for key, holds in ((ATTACH, True), (DETACH, False)):
                 names = answer.get(key, ())
-                self._said += [(n, holds) for n in ([names] if isinstance(names, str) else names)]
+                names = [names] if isinstance(names, str) else names
+                if not isinstance(names, Iterable):
+                    raise ControlError(
+                        f"{self.name} must say {key!r} with the name of a joint or a list of "
+                        f"names, it said {names!r}"
+                    )
+                self._said += [(name, holds) for name in names]
             self._require_usable()
             answer = {key: value for key, value in answer.items() if key not in (ATTACH, DETACH)}
         stacked = np.zeros(self._layout.rate_count)

@@ -117,9 +117,10 @@ class Model:
 
     @property
     def calls_user(self) -> bool:
-        """Whether evaluations call user functions ``f(t, state)``: a controller, effects."""
+        """Whether steps call user functions ``f(t, state)``: a controller, effects, moments."""
         controller = self.python_control is not None and self.sampling is None
-        return controller or self.effects.calls_user
+        moments = self.unilateral is not None and self.unilateral.has_functions
+        return controller or self.effects.calls_user or moments
 
     @property
     def calls_python(self) -> bool:

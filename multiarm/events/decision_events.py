@@ -35,9 +35,9 @@ def switch_events(modes: Modes, t: float, switch: Switch, decision: Decision) ->
     """Events of timed joints that take hold and let go; the loss is that of all at this instant."""
     names = [joint.connection for joint in modes.unilateral.timed]
     impulses, lost, events = {}, 0.0, []
-    if switch.grip is not None:
-        impulses = switch.grip.impulses(decision.impulses)
-        lost = switch.grip.energy_lost - decision.energy
+    if switch.impact is not None:
+        impulses = switch.impact.impulses(decision.impulses)
+        lost = switch.impact.energy_lost - decision.energy
     for k in sorted(switch.taking):
         event = RunEvent(t, EventKind.ATTACHED, arm=names[k], energy_loss=lost)
         impulse = tuple(impulses[names[k]].tolist())

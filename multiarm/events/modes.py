@@ -75,7 +75,7 @@ class Modes:
     idle : frozenset of int
         Constraints of those that do not.
     awaited : frozenset of (int, int)
-        Moments of timed joints that are awaited; those that functions tell have guards.
+        Moments of timed joints that are awaited and that functions tell: these have guards.
     data : RowSelection
         With the held rows of the mode.
     mode : Mode
@@ -194,7 +194,7 @@ class Modes:
     def place(self, timed: int, as_written: bool = False) -> None:
         """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
 
-        Only joints that are ``located``, and do not hold yet, are placed.
+        Only joints that are ``located`` are placed; rows that have been selected stay as they were.
         """
         self._stale = True
         place_joint(self.full, self._written, self.unilateral.timed[timed], as_written)

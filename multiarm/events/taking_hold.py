@@ -97,7 +97,7 @@ class TakingHold:
 class Switch(NamedTuple):
     """What timed joints do at an instant."""
 
-    grip: TakingHold | None  # the impact of those that take hold
+    impact: TakingHold | None  # of those that take hold
     taking: Set[int]
     letting: Set[int]
 
@@ -118,17 +118,20 @@ def switch_joints(
     SolverError
         When bodies are too far apart, or move too fast, for one that takes hold.
     """
-    taking, letting = holding - modes.holding, modes.holding - holding
+    full, taking, letting = modes.full, holding - modes.holding, modes.holding - holding
     for k in sorted(taking):
-        _require_reach(modes, k)
+        require_reach(modes, k)
         if modes.unilateral.timed[k].located:
             modes.place(k)
+        # its coordinates are counted from the turn in which it takes hold
+        owner = full.model.layout.owners.index(modes.unilateral.timed[k].connection)
+        full.arrays.last_step.coordinates[owner] = np.nan
     modes.hold(holding, awaited)
     RowDynamics(modes).update()
     return Switch(TakingHold(modes) if taking else None, taking, letting)
 
 
-def _require_reach(modes: Modes, timed: int) -> None:
+def require_reach(modes: Modes, timed: int) -> None:
     """Refuse to let a joint take hold of bodies that are too far apart, or move too fast.
 
     At the kinematics of all rows.
@@ -173,15 +176,16 @@ def hold_at(
     """Let timed joints hold from a state on, without an impact.
 
     Those without a place of their own that have taken hold after the scene's start hold their
-    bodies where they are.
+    bodies where they are; all others are where the scene's start has them.
     """
-    timed = modes.unilateral.timed
-    located = [k for k in holding if timed[k].located]
+    located = {k: joint for k, joint in enumerate(modes.unilateral.timed) if joint.located}
     if located:
+        modes.hold(frozenset())  # rows are selected anew where they have been placed
         place_start(modes.bilateral, t, state)
         require_ok(modes.bilateral, update_kinematics(modes.bilateral.struct))
-    for k in located:
-        interval = timed[k].interval_at(t)
+    for k, joint in located.items():
+        interval = joint.interval_at(t)
         begins = math.inf if interval is None else interval.begin
-        modes.place(k, as_written=isinstance(begins, float) and begins <= 0.0)
+        since_start = isinstance(begins, float) and begins <= 0.0
+        modes.place(k, as_written=since_start or k not in holding)
     modes.hold(holding, awaited)

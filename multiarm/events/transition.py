@@ -234,7 +234,11 @@ class Transition:
         involved = [u for u in self._touching if constraints[u].kind != DRY_JOINT]
         closing = {u for u in involved if not constraints[u].bilateral}
         hit = {u for u in closing if rates[constraints[u].row] < -rest}
-        if not hit:
+        # contacts that hold both ways are still, unless their joint has just taken hold
+        caught = not self._elastic and any(
+            abs(rates[constraints[u].row]) > rest for u in involved if constraints[u].bilateral
+        )
+        if not (hit or caught):
             return None
         rows = [row for u in involved for row in (constraints[u].row, *constraints[u].tangents)]
         response, moved = self._rows.response(self._rows.jacobian(rows), self._modes.bilateral)

@@ -29,6 +29,7 @@ from multiarm.results.event_kinds import EventKind
 
 Event = dict[str, Any]
 """An event of a result, see above."""
+ALWAYS_LISTED = (EventKind.ATTACHED, EventKind.DETACHED)
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
 CLAUSE_SEPARATOR = "; "
@@ -96,7 +97,7 @@ class RunEvent:
     impulse : tuple of 6 floats or None
         Of a joint that takes hold or lets go, on its second body, as its wrench [N s, N m s].
     energy_loss : float or None
-        By it [J].
+        By all that happens at that instant [J].
     numbers : mapping
         Named numbers after an event without sides; units end their names.
     at : tuple of 7 floats or None
@@ -179,7 +180,7 @@ class EventLog:
     Attributes
     ----------
     listed : list of RunEvent
-        The first ``MOST_LISTED``.
+        The first ``MOST_LISTED``, and all that tell when joints hold.
     dropped : Counter
         How many more there were, by kind and arm ("" for events of no arm).
     """
@@ -191,9 +192,10 @@ class EventLog:
 
     def add(self, *events: RunEvent) -> None:
         """Append events, in order of time."""
-        room = MOST_LISTED - len(self.listed)
-        self.listed += events[:room]
-        for event in events[room:]:
+        for event in events:
+            if len(self.listed) < MOST_LISTED or event.kind in ALWAYS_LISTED:
+                self.listed.append(event)
+                continue
             self._span = (self._span[0] if self.dropped else event.time, event.time)
             self.dropped[event.kind, event.arm] += 1
 

@@ -41,7 +41,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import IMPACTS, Modes
-from multiarm.events.taking_hold import Switch, hold_at, switch_joints
+from multiarm.events.taking_hold import Switch, hold_at, require_reach, switch_joints
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -128,6 +128,9 @@ class EventHandler:
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
         self._schedule = schedule = JointSchedule(self.modes.unilateral, time)
+        control = self.modes.full.callbacks.get("control")
+        if isinstance(control, ControlCallback):
+            control.listen(lambda: None)  # another run may have left commands
         for holding in schedule.foreseen():
             self.modes.prepare(holding)
         hold_at(self.modes, time, start, schedule.holding, schedule.awaited)
@@ -265,7 +268,15 @@ class EventHandler:
         """Let a timed joint that holds let go, and one that does not take hold.
 
         Returns why the run cannot go on then; empty where it can.
+
+        Raises
+        ------
+        SolverError
+            Where the joint cannot take hold here; the run is as it was.
         """
+        if joint not in self.modes.holding:
+            self._load(run)
+            require_reach(self.modes, joint)
         self._schedule.due.add(joint)
         try:
             return self._switch(run)
@@ -294,14 +305,20 @@ class EventHandler:
         self._usual_length = max(self._usual_length, run.clock.h)
         self._load(run)
         switch = switch_joints(modes, self._schedule.holding, self._schedule.awaited)
-        if switch.grip is not None:
-            self._add_work(run, -switch.grip.energy_lost)
+        if switch.impact is not None:
+            self._add_work(run, -switch.impact.energy_lost)
         off_patch = off_patch_constraints(modes, before, set())
         participants = Participants(self._touching([]), off_patch=off_patch, elastic=False)
         return self._go_on(run, participants, before, switch)
 
     def stop_at_switch(self, run: Run) -> None:
-        """Let the loop stop where the next joint is switched, or at an event before."""
+        """Let the loop stop where the next joint is switched, or at an event before.
+
+        It does not get on by itself in impulse steps.
+        """
+        if self._phase is not None:
+            run.clock.stop = run.clock.t
+            return
         clock, due = run.clock, self._schedule.next_time(run.clock.t)
         for near in (clock.end, clock.t):  # no step would lead from one to the other
             if abs(due - near) <= 2.0 * shortest_step(near):
@@ -337,6 +354,7 @@ class EventHandler:
             self._log.add(phase.event(self.modes, t))
         self._phase, self._phase_end, self._phase_length = None, t, phase.length
         self._phase_time = t - phase.begin
+        self.stop_at_switch(run)
 
     def _take(self, run: Run, step: ImpulseStep, mode: Mode) -> None:
         """Continue from the end of an impulse step in a mode."""
@@ -476,8 +494,8 @@ class EventHandler:
         run.solver_log.reset(run.data)
         control = run.data.callbacks.get("control")
         if isinstance(control, ControlCallback):
-            control.notify = partial(self._hear, run, control)
             self._hear(run, control)
+            control.listen(partial(self._hear, run, control))
         if self._watched != self.modes.holding:
             self._watched, timed = self.modes.holding, self.modes.unilateral.timed
             idle = {j.connection for k, j in enumerate(timed) if k not in self._watched}

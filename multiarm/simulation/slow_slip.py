@@ -36,7 +36,7 @@ from multiarm.simulation.setup import Tolerance
 ENDING = 10.0
 # Speeds that are left at rest are as small as the step's errors, times this factor.
 LEFT = 4.0
-# Speeds of slip below which its direction is smoothed in steps of adaptive methods: their tolerance,
+# Speeds of slip below which its direction is smoothed in steps of adaptive methods: the tolerance,
 # between these [m/s].  Smaller ones take more steps, larger ones let contacts creep.
 SLOWEST, SLOW = 1e-9, 1e-7
 # Shortest first step [s].
@@ -117,7 +117,8 @@ class SlowSlips:
         status = update_kinematics(data.struct)
         if status != OK or project_velocities(data.struct) != OK:
             data.reraise()  # else they are left as they are
-        self._modes.enter(entered)
+        if entered.holding == self._modes.holding:  # else it has ended in any case
+            self._modes.enter(entered)
         RowDynamics(self._modes).update()
         return {u: LEFT * self._speed(u) for u in slips}
 

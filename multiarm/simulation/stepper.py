@@ -27,7 +27,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene import AccuracySpec
 from multiarm.scene.faults import shown, unknown
 from multiarm.scene.values import is_finite
-from multiarm.simulation.driver import End, Ending, failure_of, state_of, where_of
+from multiarm.simulation.driver import Driver, End, Ending, failure_of, state_of, where_of
 from multiarm.simulation.record import open_sink, run_statistics
 from multiarm.simulation.run import begin
 from multiarm.simulation.setup import Run, Task, check_control_span, run_spec
@@ -257,7 +257,8 @@ class Stepper:
         ModelError
             When there is no such joint, or it holds already.
         SolverError
-            When its bodies are too far apart or move too fast, or the motion cannot go on.
+            When its bodies are too far apart or move too fast: it stays as it is.  When the motion
+            cannot go on: it has to be reset.
         """
         self._switch(joint, True)
 
@@ -304,6 +305,7 @@ class Stepper:
         events, run = self._driver.events, self._run
         assert events is not None, "it has timed joints"
         fault = events.command(run, timed.index(joint))
+        self._commanded = True
         if fault:
             self._dead_end = Ending(End.UNDECIDED, f"{where_of(run)}: {fault}")
             raise SolverError(self._dead_end.message)
@@ -311,6 +313,7 @@ class Stepper:
     def _begin(self, task: Task, torques: np.ndarray | None) -> None:
         """Bring a task to its start, where ``torques`` are held, or those of its own control."""
         samples = MemorySink()
+        self._commanded = False
         task.data.hold(torques)
         self._held = torques is not None
         driver = begin(task, samples)
@@ -318,7 +321,8 @@ class Stepper:
         run = driver.run
         if torques is not None:
             run.clock.hold_control()
-        self._task, self._driver = task, driver
+        self._task = task
+        self._driver: Driver = driver
         self._run: Run = run
         self._samples, self._driven = samples, self._held
         self._row = np.zeros(run.block.shape[1])
@@ -343,9 +347,8 @@ class Stepper:
             return
         self._torques[:] = 0.0
         fill_by_arm("torques", self._layout, self._torques, torques, ControlError)
-        if (
-            run.clock.t == run.settings.begin
-        ):  # the start, and the first step, are those under these torques
+        if run.clock.t == run.settings.begin and not self._commanded:
+            # the start, and the first step, are those under these torques
             self._begin(self._task, self._torques)
             return
         run.data.hold(self._torques)

@@ -90,12 +90,14 @@ def _pairs(value: Any) -> Any:
             "a list must have pairs [from, until], such as [[0, 2], [4, never]], got "
             f"{shown(value)}"
         )
-    times = [time for pair in value for time in pair]
+    times = [time for pair in value for time in pair if is_finite(time)]
     for before, after in pairwise(times):
-        if is_finite(before) and is_finite(after) and not before < after:
+        if not before < after:
             raise invalid(f"times of pairs must increase; {after:g} comes after {before:g}")
     if any(begin == NEVER for begin, _ in value):
         raise invalid("no pair begins with 'never'; leave it out")
+    if any(end == NEVER for _, end in value[:-1]):
+        raise invalid("only the last pair may end with 'never'")
     return tuple(map(tuple, value))
 
 
