@@ -100,7 +100,7 @@ def through_a_singular_posture(_folder):
 
 def rolling_ball(_folder):
     """A ball that slides until it rolls."""
-    return ma.compile_system(on_floor(ball(twist=[2.0, 1.0, 0, 0, 0, 0]), mu=0.3)), 0.4
+    return ma.compile_system(on_floor(ball(twist=[2.0, 1.0, 0, 0, 0, 0]), mu=0.3)), 0.6
 
 
 def spinning_box(_folder):

@@ -200,7 +200,9 @@ def test_a_contact_with_a_comma_in_its_name_has_no_state_of_another():
     )
     channel = Channel("arms/left/contact_state", (1,), labels=("finger",))
     run = SimpleNamespace(
-        channels={channel.name: channel}, contact_states={"left": np.array([[ContactState.OPEN]])}
+        channels={channel.name: channel},
+        contact_states={"left": np.array([[ContactState.OPEN]])},
+        scene=SimpleNamespace(joints=()),
     )
     states = row_states(run, "left", joint.records(), np.array([0]))
     assert states.tolist() == [[ContactState.OPEN] + 3 * [ContactState.TOUCHING]]
