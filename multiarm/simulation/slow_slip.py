@@ -109,9 +109,10 @@ class SlowSlips:
 
     def _stop(self, mode: Mode, slips: Iterable[int]) -> dict[int, float]:
         """Put slips to rest, with the rows of a mode held; speeds that are left, and errors."""
-        stopped = {row for u in slips for row in self._rows(u)}
+        speeds, rest = {u: self._speed(u) for u in slips}, RowDynamics(self._modes).rest_rate
+        stopped = {row for u, speed in speeds.items() if speed > rest for row in self._rows(u)}
         if not stopped:
-            return {}
+            return {u: LEFT * speed for u, speed in speeds.items()}
         entered, data = self._modes.mode, self._modes.data
         self._modes.enter(replace(mode, rows=tuple(sorted(stopped.union(mode.rows)))))
         status = update_kinematics(data.struct)
