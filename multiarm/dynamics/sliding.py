@@ -20,8 +20,6 @@ accuracy of the run, the direction is therefore that of
 .. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
 
 which is :math:`\pm s` except for speeds near :math:`s_0`.  The force has full size at any speed.
-
-Only steps need this.  In samples friction is against the slip as it is: :math:`d = s / |s|`.
 """
 
 from __future__ import annotations
@@ -45,12 +43,6 @@ from multiarm.jit.structs import (
     referenced,
     view,
 )
-
-# Slower slips have the direction of their roundings [m/s].
-ROUNDED_SLIP = 1e-10
-# Smaller velocities orthogonal to the last direction are roundings, which slow slips would enlarge
-# in the stages of a step [m/s].
-ROUNDED_TURN = 1e-12
 
 
 class FrictionNumbers(Numbers):
@@ -87,18 +79,11 @@ def slides_of(data):
 
 
 @kernel
-def write_direction(slides, s, first, second, sampled):
-    """Direction of slip from its two components, near to the last step's unless ``sampled``."""
-    size = math.sqrt(first * first + second * second)
-    if sampled and size > ROUNDED_SLIP:
-        slides.turning[s, 0], slides.turning[s, 1] = first / size, second / size
-        slides.speed[s] = size
-        return
+def write_direction(slides, s, first, second):
+    """Direction of slip from its two components, near to the last step's."""
     d0, d1, slow = slides.direction[s, 0], slides.direction[s, 1], slides.numbers.slow
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
-    if p0 * p0 + p1 * p1 < ROUNDED_TURN * ROUNDED_TURN:
-        p0 = p1 = 0.0
     root = math.sqrt(along * along + slow * slow)
     e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
     size = math.sqrt(e0 * e0 + e1 * e1)
@@ -132,7 +117,7 @@ def write_reactions(data, work, Wr_o, slides, reactions):
     for s in range(slides.row.size):
         row, i, t = slides.row[s], slides.block[s], slides.tangent[s]
         along, across = slip_of(sideways.rows.kinematics, t)
-        write_direction(slides, s, along, across, data.modes.sampled)
+        write_direction(slides, s, along, across)
         first, second = friction_of_unit_force(slides, s)
         for k in range(Wr_o.shape[1]):
             Wr_o[row, k] += first * sideways.rows.W_o[t, k] + second * sideways.rows.W_o[t + 1, k]
@@ -160,7 +145,7 @@ def follow_slip(slides, contacts):
     for s in range(slides.row.size):
         t = slides.tangent_of_all[s]
         along, across = slip_of(contacts, t)
-        write_direction(slides, s, along, across, False)
+        write_direction(slides, s, along, across)
         copy(slides.turning[s], slides.at_end[s])
 
 

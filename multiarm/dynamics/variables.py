@@ -304,7 +304,6 @@ class ModeStructs(References):
     mode: Int  # the mode's guards, numbers and slides, see multiarm.events
     slides: Flag  # some of its contacts slide with friction
     event: Flag  # one of its guards has found an event in the last step
-    sampled: Flag  # the state is a sample: friction is against its slip, however slow
 
 
 class Variables(NamedTuple):

@@ -188,16 +188,6 @@ def project_and_evaluate(struct, clock, settings, on_joints, t, alpha, beta):
 
 
 @kernel
-def evaluate_sample(struct, clock, settings, on_joints, t, alpha, beta):
-    """:func:`project_and_evaluate` for a sample, in which friction is against the slip as it is."""
-    data = open_data(struct)
-    data.modes.sampled = True
-    status = project_and_evaluate(struct, clock, settings, on_joints, t, alpha, beta)
-    data.modes.sampled = False
-    return status
-
-
-@kernel
 def sample_control(step, clock, settings):
     """Sample the control at the beginning of the next step, and evaluate it again from there.
 
@@ -228,7 +218,7 @@ def observe(arrays, clock, settings, row):
             return status
     alpha, beta = gains(settings, max(clock.h_before, clock.step))
     load_chart(step.z, step.base, data)
-    status = evaluate_sample(struct, clock, settings, True, clock.t, alpha, beta)
+    status = project_and_evaluate(struct, clock, settings, True, clock.t, alpha, beta)
     if status == OK:
         status = record_and_write(struct, clock.t, step.z[chart_places(data).works :], row)
     return CALLBACK_FAILED if data.status.failed else status
@@ -272,7 +262,7 @@ def emit_samples(struct, method, step, clock, settings, block):
             interpolate(method, step, (due - clock.t_before) / clock.h_before, step.z_stage)
             load_chart(step.z_stage, step.base_old, data)
             works = step.z_stage[chart_places(data).works :]
-        status = evaluate_sample(struct, clock, settings, on_joints, due, alpha, beta)
+        status = project_and_evaluate(struct, clock, settings, on_joints, due, alpha, beta)
         if status != OK:
             return status
         status = record_and_write(struct, due, works, block[rows])

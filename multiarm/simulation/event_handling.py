@@ -61,7 +61,6 @@ from multiarm.simulation.impulse_phase import (
 )
 from multiarm.simulation.joint_schedule import JointSchedule
 from multiarm.simulation.setup import Run, Tolerance
-from multiarm.simulation.slow_slip import SlowSlips, smoothing_speed
 
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
@@ -70,6 +69,8 @@ ACCUMULATED, ACCUMULATION = 20, 1e-3
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
+# Smallest speed of slip with a direction of its own [m/s].
+SLOWEST = 1e-9
 
 
 @dataclass
@@ -102,8 +103,12 @@ class EventHandler:
         log: EventLog,
         stops_at_painleve: bool,
     ):
-        self.modes = Modes(data, smoothing_speed(tolerance, step))
-        self._slips = SlowSlips(self.modes, tolerance)
+        if tolerance is None:
+            assert step is not None, "steps are either fixed or chosen"
+            slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
+        else:
+            slow = 1000.0 * tolerance.position
+        self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
         self.impulse_time = 0.0
@@ -223,10 +228,9 @@ class EventHandler:
             return self._switch(run)
         self._load(run)
         fired = [self.modes.watched[g] for g in pending.guards]
-        at_rest = self._slips.end(_constraints(fired, Slip, JointSpeed))
         participants = Participants(
             self._touching(fired),
-            at_rest,
+            self._at_rest(fired),
             _constraints(fired, PushingForce),
             off_patch_constraints(self.modes, before, _constraints(fired, PatchDepth)),
         )
@@ -237,7 +241,7 @@ class EventHandler:
     ) -> str:
         """Decide the next mode at the state in the data; returns why the run must end."""
         t = run.clock.t
-        decision = self._decide_with_slow_slips(t, participants)
+        decision = self._decide(t, participants)
         if switch is not None:
             self._log_events(switch_events(self.modes, t, switch, decision))
         self._add_impact(run, decision)
@@ -395,6 +399,19 @@ class EventHandler:
             gap = run.settings.gap_tolerance
             require_ok(run.data, project_positions(run.data.struct, gap, False, 0.5, 12))
 
+    def _at_rest(self, fired: list[Guard]) -> dict[int, float]:
+        """Speeds [m/s] of constraints whose slip has just come to rest, times ``HIT_SHARE``."""
+        constraints = self.modes.unilateral.constraints
+        rates, speeds = self.modes.full.contact_rows.gap_rate, {}
+        of_step = SLOWEST if self._tolerance is None else self._tolerance.smallest
+        for u in _constraints(fired, Slip, JointSpeed):
+            constraint = constraints[u]
+            speed = float(np.linalg.norm(rates[list(constraint.tangents or (constraint.row,))]))
+            # faster slip has only turned around
+            if speed <= 1e3 * max(of_step, SLOWEST) or self._tolerance is None:
+                speeds[u] = HIT_SHARE * speed
+        return speeds
+
     @staticmethod
     def _works(run: Run) -> np.ndarray:
         """The works at the beginning of the run's next step [J], to be read and written."""
@@ -436,24 +453,6 @@ class EventHandler:
         self.residual = max(self.residual, decision.residual)
         return decision
 
-    def _decide_with_slow_slips(self, t: float, participants: Participants) -> Decision:
-        """:meth:`_decide`, and anew where it lets slips begin that are too slow to have begun."""
-        decision = self._decide(t, participants)
-        if decision.undecided or not (at_rest := self._slips.end_new(decision.mode)):
-            return decision
-        at_rest |= participants.at_rest
-        again = self._decide(t, replace(participants, at_rest=at_rest))
-        return replace(
-            again,
-            hits=decision.hits + again.hits,
-            energy=decision.energy + again.energy,
-            rested=decision.rested + again.rested,
-            impulses={
-                row: decision.impulses.get(row, 0.0) + again.impulses.get(row, 0.0)
-                for row in decision.impulses | again.impulses
-            },
-        )
-
     def _add_impact(self, run: Run, decision: Decision) -> None:
         """Count the energy of an impact among the works."""
         self._add_work(run, decision.energy)
@@ -477,6 +476,8 @@ class EventHandler:
             raise SolverError("the state could not be put on the contacts that closed")
         begin_chart(data.struct, step.base, step.z)
         length = max(0.5 * self._last_length, 1e-12)  # the motion may have changed
+        if settings.adaptive:
+            clock.h = length
         clock.begin_after_event()
         step.stage.begin()
         step.stage.alpha, step.stage.beta = gains(settings, clock.step)
@@ -484,8 +485,6 @@ class EventHandler:
         if status != OK:
             data.reraise()
             raise SolverError(f"the motion after the event: {failure_text(data, status)}")
-        if settings.adaptive:
-            clock.h = min(length, self._slips.first_step())
         self.arm(run)
 
     def arm(self, run: Run) -> None:
