@@ -288,24 +288,14 @@ class Model:
         move freely.  Without unilateral contacts it is the model itself.  ``holding``: of the timed
         joints these only.
         """
-        if self.unilateral is None:
-            return self
-        rows: Sequence[int] = self.unilateral.model
-        if holding is not None:
-            rows = self.unilateral.rows_held_by(holding, rows)
-        return self._with_closed(rows)
+        return self if self.unilateral is None else self._closed(self.unilateral.model, holding)
 
     def of_laws(self, holding: Set[int] | None = None) -> Model:
         """The model that control laws see: with all contacts closed, those that grip stick.
 
         ``holding``: of the timed joints these only.
         """
-        if self.unilateral is None:
-            return self
-        rows: Sequence[int] = self.unilateral.of_laws
-        if holding is not None:
-            rows = self.unilateral.rows_held_by(holding, rows)
-        return self._with_closed(rows)
+        return self if self.unilateral is None else self._closed(self.unilateral.of_laws, holding)
 
     def counting_friction(self) -> Model:
         """The same model for control that counts the friction of contacts that only push."""
@@ -313,8 +303,10 @@ class Model:
             return self
         return replace(self, unilateral=self.unilateral.counting_friction())
 
-    def _with_closed(self, rows: Sequence[int]) -> Model:
-        """The model with these rows, as bilateral constraints."""
+    def _closed(self, rows: Sequence[int], holding: Set[int] | None) -> Model:
+        """The model with these rows as bilateral constraints; of timed joints ``holding`` ones."""
+        if holding is not None and self.unilateral is not None:
+            rows = self.unilateral.rows_held_by(holding, rows)
         effects = self.effects.with_contacts_closed()
         model = replace(self.select(rows), effects=effects, unilateral=None)
         return model.with_constants(**effect_constants(effects))

@@ -62,15 +62,16 @@ def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool)
     ``as_written``; that of ``data`` has own places.
     """
     connection, bodies = joint.connection, fields_of(BodyMotion, data.arrays.bodies.motion)
+    if as_written:
+        before = written.frames_on_bodies(connection)
+        _move_joint(data, written, connection, before.on_object, before.origin_on_object)
+        return
     on_first, _ = frame_motions(data, written, connection)
-    before, second = written.frames_on_bodies(connection), written.bodies_of(connection)[1]
+    second = written.bodies_of(connection)[1]
     R = bodies.rotation[second]
     rotation = R.T @ on_first.rotation @ joint.offset[:3, :3]
     origin = on_first.origin + on_first.rotation @ joint.offset[:3, 3] - bodies.origin[second]
-    if as_written:
-        _move_joint(data, written, connection, before.on_object, before.origin_on_object)
-    else:
-        _move_joint(data, written, connection, rotation, R.T @ origin)
+    _move_joint(data, written, connection, rotation, R.T @ origin)
 
 
 def place_joint_at(data: Data, written: Model, joint: TimedJoint, at: np.ndarray) -> None:

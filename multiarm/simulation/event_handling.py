@@ -244,7 +244,7 @@ class EventHandler:
         decision = self._decide(t, participants)
         if switch is not None:
             self._log_events(switch_events(self.modes, t, switch, decision))
-        self._add_impact(run, decision)
+        self._add_work(run, decision.energy)
         ended = before if before.holding == self.modes.holding else None
         decision, holds = enter_consistent_mode(self.modes, decision, ended)
         if holds and not self._accumulate(t):
@@ -376,7 +376,7 @@ class EventHandler:
         mode = self.modes.mode
         participants = Participants(step.touching, off_patch=mode.off_patch)
         decision = self._decide(run.clock.t, participants)
-        self._add_impact(run, decision)
+        self._add_work(run, decision.energy)
         decision, holds = enter_consistent_mode(self.modes, decision)
         if decision.undecided:
             self.modes.enter(mode)
@@ -452,10 +452,6 @@ class EventHandler:
         decision = Transition(self.modes, participants, self._rest_height).decide()
         self.residual = max(self.residual, decision.residual)
         return decision
-
-    def _add_impact(self, run: Run, decision: Decision) -> None:
-        """Count the energy of an impact among the works."""
-        self._add_work(run, decision.energy)
 
     def _add_work(self, run: Run, energy: float) -> None:
         """Count energy [J] among the works of impacts."""
