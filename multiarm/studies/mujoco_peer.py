@@ -48,7 +48,7 @@ from multiarm.studies.peers import (
 
 HARDNESS = 1e-6
 _HARD = [0.9999, 0.9999, 0.001, 0.5, 2.0]
-_INTEGRATORS = {
+INTEGRATORS = {
     "Euler": (mujoco.mjtIntegrator.mjINT_EULER, (0.0,)),
     "implicitfast": (mujoco.mjtIntegrator.mjINT_IMPLICITFAST, (0.0,)),
     "RK4": (mujoco.mjtIntegrator.mjINT_RK4, (0.0, 0.5, 0.5, 1.0)),
@@ -65,7 +65,7 @@ class MujocoPeer(Peer):
         For a joint without an equality constraint, and what MuJoCo's compiler refuses.
     """
 
-    methods: ClassVar = dict.fromkeys(_INTEGRATORS, "step")
+    methods: ClassVar = dict.fromkeys(INTEGRATORS, "step")
     hardened: ClassVar = True
 
     def __init__(self, system: System):
@@ -113,7 +113,7 @@ class MujocoPeer(Peer):
         self, clock: Clock, grid: Grid, start: State, method: str, value: float, drive: Drive
     ) -> Iterator[Sample]:
         """Step from output to output (:meth:`.peers.Peer.follow`)."""
-        kind, stages = _INTEGRATORS[method]
+        kind, stages = INTEGRATORS[method]
         d, n, count = self.data, self.system.model.layout.rate_count, grid.steps(value)
         self.model.opt.integrator, self.model.opt.timestep = kind, value
         self.place(start)

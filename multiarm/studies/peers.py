@@ -203,6 +203,8 @@ def make_peers(
                 refusals[name] = f"cannot express {', '.join(strange)}"
             elif system.scene.robots:
                 refusals[name] = "cannot express robots with tips by name, only arms"
+            elif system.model.timed_joints:
+                refusals[name] = "is run here with joints that hold all the time only"
             else:
                 able[name] = getattr(import_module(module), kind)(system)
         except ModelError as error:

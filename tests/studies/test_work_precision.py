@@ -683,6 +683,12 @@ def test_effects_that_no_peer_has_are_named():
     assert refusals == dict.fromkeys(PEERS, "cannot express drag")
 
 
+def test_joints_in_time_are_refused_for_the_peers():
+    able, refusals = make_peers(ma.compile_system(ring().replace({"joints[0].until": 0.5})))
+    assert able == {}
+    assert set(refusals) == set(PEERS)
+
+
 def test_peers_that_are_not_installed_are_told_so(system, monkeypatch):
     monkeypatch.delitem(sys.modules, "multiarm.studies.mujoco_peer", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco", None)
