@@ -27,13 +27,14 @@ from multiarm.geometry.records import (
     CYLINDER,
     PLANE,
     SPHERE,
+    SURFACE_ON_OBJECT,
     Contact,
     Placement,
     SmoothShape,
     Surface,
 )
 from multiarm.jit.kernels import copy, plain
-from multiarm.jit.rows import Number, Rotation, Vector, as_row, fields_of, offset_of, row_of, width
+from multiarm.jit.rows import Number, Rotation, Vector, as_row, field_of, fields_of, row_of, width
 from multiarm.jit.structs import Floats2, Ints1, Ints2
 
 
@@ -335,20 +336,69 @@ def copy_record(table, record, selected, k):
     copy(table.geometry[record], selected.geometry[k])
 
 
-def copy_geometry(source: ContactTable, k: int, table: ContactTable, record: int) -> None:
-    """Copy the geometry of record ``k`` of a table to one of the same sort in another table."""
-    table.geometry[record] = source.geometry[k]
-    code, other = (Code(*row.tolist()) for row in (table.codes[record], source.codes[k]))
-    parts = other.parts if other.kind == COMBINED else 0
-    pairs = [(code.first_part + i, other.first_part + i) for i in range(parts)]
-    if other.kind == TANGENT and other.normal_part > 0:
-        pairs.append((code.normal_part, other.normal_part))
-    for at, of_source in pairs:
-        copy_geometry(source, of_source, table, at)
-    for i in range({ON_SURFACE: 1, PAIR: 2}.get(other.kind, 0)):
-        shape, function = table.shapes[code.shape + i], offset_of(Shape, "function")
-        shape[:function] = source.shapes[other.shape + i, :function]  # users' functions stay
-        shape[function + 1 :] = source.shapes[other.shape + i, function + 1 :]
+def records_of(table: ContactTable, rows: Sequence[int]) -> np.ndarray:
+    """Numbers of the records of some rows: the rows', then those of their parts, row by row.
+
+    That of a tangent is its normal, so that there are as many in any table of these rows.
+    """
+    parts: list[int] = []
+    for row, numbers in zip(rows, table.codes[list(rows)].tolist(), strict=True):
+        code = Code(*numbers)
+        if code.kind == COMBINED:
+            parts += range(code.first_part, code.first_part + code.parts)
+        elif code.kind == TANGENT:
+            parts.append(code.normal_part if code.normal_part > 0 else row - code.tangent)
+    return np.array([*rows, *parts], dtype=np.int64)
+
+
+class OnObject(NamedTuple):
+    """What of some rows has a place on the object: numbers of records, and of shapes."""
+
+    guides: Ints1  # records whose guide is
+    tips: Ints1  # whose tip is
+    tangents: Ints1
+    shapes: Ints1
+
+
+def on_object(table: ContactTable, rows: Sequence[int]) -> OnObject:
+    """What of some rows has a place on the object."""
+    records = records_of(table, rows)
+    codes = fields_of(Code, table.codes[records])
+    guide_is, is_tangent = codes.surface_body == SURFACE_ON_OBJECT, codes.kind == TANGENT
+    has_tip = ~(is_tangent | is_of_joints(codes.kind))
+    is_pair = codes.kind == PAIR
+    # the guide's comes first
+    of_guides = codes.shape[guide_is & (is_pair | (codes.kind == ON_SURFACE))]
+    of_others = codes.shape[~guide_is & is_pair] + 1
+    return OnObject(
+        records[has_tip & guide_is],
+        records[has_tip & ~guide_is],
+        records[is_tangent & guide_is],
+        np.concatenate([of_guides, of_others]),
+    )
+
+
+def move_on_object(
+    written: ContactTable, moved: OnObject, place: Placement, table: ContactTable
+) -> None:
+    """Write into a table what another one has on the object, ``p -> turn p + shift``."""
+    turn, shift = place
+    fields = [
+        (ContactGeometry, "origin", moved.guides, shift),
+        (ContactGeometry, "axis", moved.guides, 0.0),
+        (ContactGeometry, "tip", moved.tips, shift),
+        (TangentGeometry, "first", moved.tangents, 0.0),
+        (TangentGeometry, "second", moved.tangents, 0.0),
+    ]
+    for kind, name, at, translation in fields:
+        if at.size:
+            before, now = (field_of(kind, name, part.geometry) for part in (written, table))
+            now[at] = before[at] @ turn.T + translation
+    if moved.shapes.size:
+        at = moved.shapes
+        source, target = (fields_of(Shape, part.shapes) for part in (written, table))
+        target.origin[at] = source.origin[at] @ turn.T + shift
+        target.axes[at] = turn @ source.axes[at]
 
 
 class JointRows(NamedTuple):

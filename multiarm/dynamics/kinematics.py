@@ -456,5 +456,5 @@ def load_inertia(i, data, work):
 
 def inertias_in(work: NodeWork) -> list[np.ndarray]:
     """Copies of the inertias of all blocks in ``work.M``, symmetric, shape (n, n) each."""
-    lower = [np.tril(M[:n, :n]) for M, n in zip(work.M, np.diff(work.first_joint), strict=True)]
-    return [L + np.tril(L, -1).T for L in lower]
+    blocks = [M[:n, :n] for M, n in zip(work.M, np.diff(work.first_joint), strict=True)]
+    return [np.where(np.tri(len(M), dtype=bool), M, M.T) for M in blocks]

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import ContactTable, copy_geometry, pack
+from multiarm.contacts.table import ContactTable, move_on_object, on_object
 from multiarm.contacts.unilateral import TimedJoint
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.model import Model
-from multiarm.geometry.records import Contact
-from multiarm.jit.rows import fields_of
+from multiarm.jit.rows import field_of
+from multiarm.jit.vectors import cross
 
 
 class FrameMotion(NamedTuple):
@@ -36,81 +36,83 @@ def with_own_places(full: Data) -> Data:
     return own
 
 
-def frame_motions(data: Data, model: Model, connection: str) -> tuple[FrameMotion, FrameMotion]:
-    """The frames of a joint on both bodies, at the kinematics in the data."""
-    bodies, frames = (
-        fields_of(BodyMotion, data.arrays.bodies.motion),
-        model.frames_on_bodies(connection),
+def frame_motion(data: Data, connection: str, second: bool) -> FrameMotion:
+    """The frame of a joint on its first or on its second body, at the kinematics in the data."""
+    model = data.model
+    frames, body = model.frames_on_bodies(connection), model.bodies_of(connection)[second]
+    on_body = frames.on_object if second else frames.on_link
+    origin = frames.origin_on_object if second else frames.origin_on_link
+    rotation, place, velocity, spin = (
+        field_of(BodyMotion, name, data.arrays.bodies.motion[body])
+        for name in ("rotation", "origin", "velocity", "spin")
     )
-    first, second = model.bodies_of(connection)
-
-    def motion(body: int, rotation: np.ndarray, origin: np.ndarray) -> FrameMotion:
-        R, lever = bodies.rotation[body], bodies.rotation[body] @ origin
-        velocity = bodies.velocity[body] + np.cross(bodies.spin[body], lever)
-        return FrameMotion(R @ rotation, bodies.origin[body] + lever, velocity)
-
-    return (
-        motion(first, frames.on_link, frames.origin_on_link),
-        motion(second, frames.on_object, frames.origin_on_object),
-    )
+    lever = rotation @ origin
+    return FrameMotion(rotation @ on_body, place + lever, velocity + cross(spin, lever))
 
 
-def place_joint(data: Data, written: Model, joint: TimedJoint, as_written: bool) -> None:
-    """Move a joint on its second body to where it is on the first, at the kinematics in the data.
+class JointPlace:
+    """Where a joint is on its second body that takes hold of its bodies wherever they are.
 
-    ``written`` is the model as the scene has it, where the joint returns to if it is
-    ``as_written``; that of ``data`` has own places.
+    Parameters
+    ----------
+    data : Data
+        With own places, see :func:`with_own_places`.
+    written : Model
+        As the scene has it.
+    joint : TimedJoint
     """
-    connection, bodies = joint.connection, fields_of(BodyMotion, data.arrays.bodies.motion)
-    if as_written:
-        before = written.frames_on_bodies(connection)
-        _move_joint(data, written, connection, before.on_object, before.origin_on_object)
-        return
-    on_first, _ = frame_motions(data, written, connection)
-    second = written.bodies_of(connection)[1]
-    R = bodies.rotation[second]
-    rotation = R.T @ on_first.rotation @ joint.offset[:3, :3]
-    origin = on_first.origin + on_first.rotation @ joint.offset[:3, 3] - bodies.origin[second]
-    _move_joint(data, written, connection, rotation, R.T @ origin)
+
+    def __init__(self, data: Data, written: Model, joint: TimedJoint) -> None:
+        self._data, self._written, self._joint = data, written, joint
+        layout, name = written.layout, joint.connection
+        rows, first = layout.contacts_of(layout.owners.index(name)), written.frames[name]
+        self._moved = on_object(written.constants.contacts, range(rows.start, rows.stop))
+        before = written.frames_on_bodies(name)
+        self._turn, self._origin = before.on_object.copy(), before.origin_on_object.copy()
+        # from the joint's frame on its second body to that of ``at`` in a scene
+        self._of_scene = first.on_object @ _inverse(self._turn, self._origin)
+
+    def take_hold(self) -> None:
+        """Hold the bodies where they are, at the kinematics in the data."""
+        name, offset = self._joint.connection, self._joint.offset
+        first = frame_motion(self._data, name, second=False)
+        body = self._written.bodies_of(name)[1]
+        motion = self._data.arrays.bodies.motion[body]
+        to_body = field_of(BodyMotion, "rotation", motion).T
+        origin = first.origin + first.rotation @ offset[:3, 3]
+        origin -= field_of(BodyMotion, "origin", motion)
+        self._move(to_body @ first.rotation @ offset[:3, :3], to_body @ origin)
+
+    def return_to_scene(self) -> None:
+        """Be where the scene has it."""
+        self._move(self._turn, self._origin)
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Pose (4, 4) on the second body, as ``at`` of a scene has it."""
+        now = self._data.model.frames_on_bodies(self._joint.connection)
+        pose = self._of_scene @ _pose(now.on_object, now.origin_on_object)
+        pose[:3, :3] = pose[:3, :3] @ self._joint.axes.T
+        return pose
+
+    @pose.setter
+    def pose(self, pose: np.ndarray) -> None:
+        of_body = np.linalg.solve(self._of_scene, pose)
+        self._move(of_body[:3, :3] @ self._joint.axes, of_body[:3, 3])
+
+    def _move(self, turn: np.ndarray, origin: np.ndarray) -> None:
+        model = self._data.model
+        now = model.frames_on_bodies(self._joint.connection)
+        now.on_object[:], now.origin_on_object[:] = turn, origin
+        by = turn @ self._turn.T
+        place = by, origin - by @ self._origin
+        move_on_object(
+            self._written.constants.contacts, self._moved, place, model.constants.contacts
+        )
 
 
-def place_joint_at(data: Data, written: Model, joint: TimedJoint, at: np.ndarray) -> None:
-    """Move a joint on its second body to a pose (4, 4) there, see :func:`place_on_second`."""
-    frames = written.frames_on_bodies(joint.connection)
-    before = _pose(frames.on_object, frames.origin_on_object)
-    of_tip = written.frames[joint.connection].on_object
-    now = before @ np.linalg.solve(of_tip, at @ _pose(joint.axes, np.zeros(3)))
-    _move_joint(data, written, joint.connection, now[:3, :3], now[:3, 3])
-
-
-def _move_joint(
-    data: Data, written: Model, connection: str, rotation: np.ndarray, origin: np.ndarray
-) -> None:
-    before, now = (model.frames_on_bodies(connection) for model in (written, data.model))
-    now.on_object[:], now.origin_on_object[:] = rotation, origin
-    turn = now.on_object @ before.on_object.T
-    shift = now.origin_on_object - turn @ before.origin_on_object
-    rows = written.layout.contacts_of(written.layout.owners.index(connection))
-    records = {
-        row: record
-        for row, record in enumerate(written.records[rows], start=rows.start)
-        if isinstance(record, Contact)
-    }
-    moved = [record.moved_on_bodies(None, (turn, shift)) for record in records.values()]
-    packed = pack(moved).table
-    for k, row in enumerate(records):
-        copy_geometry(packed, k, data.model.constants.contacts, row)
-
-
-def place_on_second(data: Data, written: Model, joint: TimedJoint) -> np.ndarray:
-    """The joint's pose (4, 4) on its second body, as ``at`` of a scene has it."""
-    connection = joint.connection
-    now, before = (
-        _pose(frames.on_object, frames.origin_on_object)
-        for frames in (model.frames_on_bodies(connection) for model in (data.model, written))
-    )
-    of_tip = written.frames[connection].on_object  # the same as ``before``, in the tip's frame
-    return of_tip @ np.linalg.solve(before, now) @ _pose(joint.axes.T, np.zeros(3))
+def _inverse(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    return _pose(rotation.T, -rotation.T @ origin)
 
 
 def _pose(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:

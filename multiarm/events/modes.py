@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.table import copy_geometry
+from multiarm.contacts.table import records_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.data import Data
@@ -23,12 +23,7 @@ from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginning
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
-from multiarm.events.joint_places import (
-    frame_motions,
-    place_joint,
-    place_on_second,
-    with_own_places,
-)
+from multiarm.events.joint_places import JointPlace, frame_motion, with_own_places
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -93,9 +88,10 @@ class Modes:
     def __init__(self, full: Data, slow: float):
         unilateral = full.model.unilateral
         assert unilateral is not None, "a system with unilateral contacts"
-        self._written = full.model
-        if any(joint.located for joint in unilateral.timed):
+        written, located = full.model, [k for k, j in enumerate(unilateral.timed) if j.located]
+        if located:
             full = with_own_places(full)
+        self._places = {k: JointPlace(full, written, unilateral.timed[k]) for k in located}
         self.full, self.unilateral, self.slow = full, unilateral, slow
         self.closed = full.closed
         self.holding: frozenset[int] = frozenset()
@@ -197,7 +193,10 @@ class Modes:
         Only joints that are ``located`` are placed; rows that have been selected stay as they were.
         """
         self._stale = True
-        place_joint(self.full, self._written, self.unilateral.timed[timed], as_written)
+        if as_written:
+            self._places[timed].return_to_scene()
+        else:
+            self._places[timed].take_hold()
         of_laws = [
             (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
             for holding, data in self._laws.items()
@@ -205,9 +204,12 @@ class Modes:
         ]
         table, moved = self.full.model.constants.contacts, self.unilateral.rows_of(timed)
         for data, rows in (*of_laws, (self.closed, self.unilateral.model)):
-            for k, row in enumerate(rows):
-                if row in moved:
-                    copy_geometry(table, row, data.model.constants.contacts, k)
+            pairs = [(k, row) for k, row in enumerate(rows) if row in moved]
+            if pairs:
+                at, of_all = zip(*pairs, strict=True)
+                selected = data.model.constants.contacts  # with the shapes of the whole table
+                places = records_of(selected, at)
+                selected.geometry[places] = table.geometry[records_of(table, of_all)]
         for selection in (self.data, self.data.tangents, self.bilateral):
             if selection is not None:
                 selection.forget()
@@ -215,14 +217,13 @@ class Modes:
     def where(self, timed: int) -> tuple[float, ...]:
         """Where the frame of a timed joint is on its first body, world [m]."""
         name = self.unilateral.timed[timed].connection
-        return tuple(frame_motions(self.full, self.full.model, name)[0].origin.tolist())
+        return tuple(frame_motion(self.full, name, second=False).origin.tolist())
 
     def place_of(self, timed: int) -> tuple[float, ...] | None:
         """Where a joint that is ``located`` is on its second body: position, quaternion xyzw."""
-        joint = self.unilateral.timed[timed]
-        if not joint.located:
+        if timed not in self._places:
             return None
-        pose = place_on_second(self.full, self._written, joint)
+        pose = self._places[timed].pose
         return (*pose[:3, 3].tolist(), *matrix_to_quaternion(pose[:3, :3]).tolist())
 
     # --- the mode that has been entered -----------------------------------------------------------

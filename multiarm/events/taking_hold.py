@@ -15,13 +15,13 @@ import numpy as np
 
 from multiarm.dynamics.contact_forces import wrenches_of
 from multiarm.dynamics.contact_geometry import block_inertias, force_directions
-from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import joint_of, require_ok
 from multiarm.dynamics.impacts import Impact, inelastic_impact
 from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
-from multiarm.events.joint_places import frame_motions
+from multiarm.events.joint_places import frame_motion
 from multiarm.events.mode_guards import MomentNumber
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
@@ -43,7 +43,7 @@ class TakingHold:
     Attributes
     ----------
     energy_lost : float
-        By it [J].
+        By it, before contacts answer [J].
     """
 
     def __init__(self, modes: Modes) -> None:
@@ -57,9 +57,9 @@ class TakingHold:
             end = first + len(inertia)
             self._factor[first:end, first:end] = np.linalg.cholesky(inertia)
             first = end
-        impact = self._stopped(self._velocity)
-        self.energy_lost = impact.energy_lost
-        full.arrays.state.velocity[:] += impact.change
+        self._alone = self._stopped(self._velocity)
+        self.energy_lost = self._alone.energy_lost
+        full.arrays.state.velocity[:] += self._alone.change
         RowDynamics(modes).update()
 
     def impulses(self, of_contacts: Mapping[int, float]) -> dict[str, np.ndarray]:
@@ -70,10 +70,13 @@ class TakingHold:
         """
         full = self._modes.full
         total = np.zeros(full.model.layout.contacts)
-        total[list(of_contacts)] = list(of_contacts.values())
-        pushed = np.linalg.solve(self._factor, self._directions @ total)
-        pushed = np.linalg.solve(self._factor.T, pushed)
-        total[self._rows] += self._stopped(self._velocity + pushed).impulses
+        impact = self._alone
+        if of_contacts:
+            total[list(of_contacts)] = list(of_contacts.values())
+            pushed = np.linalg.solve(self._factor, self._directions @ total)
+            pushed = np.linalg.solve(self._factor.T, pushed)
+            impact = self._stopped(self._velocity + pushed)
+        total[self._rows] += impact.impulses
         wrenches, owners = wrenches_of(full, total), full.model.layout.owners
         timed = self._modes.unilateral.timed
         names = [timed[k].connection for k in sorted(self._modes.holding)]
@@ -127,8 +130,10 @@ def switch_joints(
         owner = full.model.layout.owners.index(modes.unilateral.timed[k].connection)
         full.arrays.last_step.coordinates[owner] = np.nan
     modes.hold(holding, awaited)
-    RowDynamics(modes).update()
-    return Switch(TakingHold(modes) if taking else None, taking, letting)
+    if not taking:
+        return Switch(None, taking, letting)
+    require_ok(full, update_rows(full.struct))  # where joints have been placed
+    return Switch(TakingHold(modes), taking, letting)
 
 
 def require_reach(modes: Modes, timed: int) -> None:
@@ -142,10 +147,10 @@ def require_reach(modes: Modes, timed: int) -> None:
         How far, or how fast, with remedies.
     """
     joint, full = modes.unilateral.timed[timed], modes.full
-    who = joint_of(full.model, joint.connection)
-    on_first, on_second = frame_motions(full, full.model, joint.connection)
-    speed = float(np.linalg.norm(on_first.velocity - on_second.velocity))
+    first, second = (frame_motion(full, joint.connection, second) for second in (False, True))
+    speed = math.dist(first.velocity, second.velocity)
     if speed > joint.speed_limit:
+        who = joint_of(full.model, joint.connection)
         raise SolverError(
             f"{who} would take hold of bodies that move at {speed:.3g} m/s against each other, "
             f"more than its 'speed_limit' of {joint.speed_limit:g} m/s; bring them to rest before, "
@@ -160,6 +165,7 @@ def require_reach(modes: Modes, timed: int) -> None:
     closes = np.array([True] * len(joint.rows) + open_too)
     gap = float(np.max(np.where(closes, np.abs(gaps), -gaps), initial=0.0))
     if gap > LARGEST_GAP:
+        who = joint_of(full.model, joint.connection)
         raise SolverError(
             f"{who} would take hold across {gap:.3g} m, more than {LARGEST_GAP:g} m; bring its "
             "bodies together before, or leave 'at' out, so that it holds them where they are"

@@ -76,16 +76,22 @@ def offset_of(kind: type, name: str) -> int:
 
 def fields_of(kind: type[R], rows: np.ndarray) -> R:
     """Views of the fields of rows, shape (..., width): rotations are (..., 3, 3)."""
-    views = []
-    for first, places in _fields(kind).values():
-        part = rows[..., first : first + _count(places)]
-        if places == 0:
-            part = part[..., 0]
-        elif len(places) == 3 and places != (0, 1, 2):
-            part = part.reshape(*rows.shape[:-1], 3, 3)
-            part = part if places[0] == (0, 3, 6) else part.swapaxes(-1, -2)
-        views.append(part)
-    return kind(*views)
+    return kind(*(_view(rows, *field) for field in _fields(kind).values()))
+
+
+def field_of(kind: type, name: str, rows: np.ndarray) -> np.ndarray:
+    """View of one field of rows."""
+    return _view(rows, *_fields(kind)[name])
+
+
+def _view(rows: np.ndarray, first: int, places: Places) -> np.ndarray:
+    if places == 0:
+        return rows[..., first]
+    part = rows[..., first : first + _count(places)]
+    if len(places) == 3 and places != (0, 1, 2):
+        part = part.reshape(*rows.shape[:-1], 3, 3)
+        return part if places[0] == (0, 3, 6) else part.swapaxes(-1, -2)
+    return part
 
 
 def as_row(fields: tuple) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from multiarm.dynamics.data import Data
-from multiarm.events.joint_places import place_joint_at, with_own_places
+from multiarm.events.joint_places import JointPlace, with_own_places
 from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import Event, timed
 from multiarm.scene import JointSpec, Pose
@@ -54,18 +54,21 @@ class PlacedJoints:
     def __init__(self, system: System, trajectory: Trajectory, data: Data) -> None:
         unilateral = data.model.unilateral
         joints = () if unilateral is None else unilateral.timed
-        self._joints = {joint.connection: joint for joint in joints if joint.located}
+        located = {joint.connection: joint for joint in joints if joint.located}
         self._events = [
-            event for name in self._joints for event in _switches(trajectory, name) if "at" in event
+            event for name in located for event in _switches(trajectory, name) if "at" in event
         ]
         self._events.sort(key=lambda event: event["time"])
-        self._written, self._data = system.model, with_own_places(data) if self._events else data
+        self._data = own = with_own_places(data) if self._events else data
+        self._places = {
+            name: JointPlace(own, system.model, joint) for name, joint in located.items()
+        }
 
     def at(self, time: float) -> Data:
         """The data for a time [s], later than those before."""
         while self._events and self._events[0]["time"] <= time:
             event = self._events.pop(0)
-            place_joint_at(self._data, self._written, self._joints[event["arm"]], _pose(event))
+            self._places[event["arm"]].pose = _pose(event)
         return self._data
 
 
