@@ -8,12 +8,13 @@ objects that rest themselves.  Such an object rests whatever forces act on it.
 that moves, and no load depends on the time: nothing changes then, as with a ball on a level floor,
 or with a box on one without friction.
 
-An object that touches nothing rests on nothing, and is none of these.
+Only objects that lie on something, with contacts that can open or slide, are told to rest: of the
+others the joints that hold them say enough.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Set
+from collections.abc import Mapping, Set
 
 import numpy as np
 
@@ -28,8 +29,8 @@ from multiarm.scene.values import SURROUNDINGS, of_surroundings
 
 # What rows act on besides objects, which have their numbers.
 AT_REST, ROBOT = -1, -2
-# The effect that acts on objects and depends on nothing but the state.
-DRAG = "drag"
+# The effect that is local, but depends on the time.
+WRENCHES = "external_wrenches"
 # The names of what stands still.
 STANDS_STILL = (SURROUNDINGS, str(WORLD))
 
@@ -46,11 +47,12 @@ class RestDetector:
         self._modes, self._dynamics = modes, RowDynamics(modes)
         self._objects = modes.full.model.layout.objects
         self._bodies, self._floor = _bodies_of_rows(modes.full.model)
+        self._enforced = modes.unilateral.enforced
         effects = modes.full.model.effects.called
-        self._steady = all(effect.local or effect.name == DRAG for effect in effects)
+        self._steady = all(effect.local and effect.name != WRENCHES for effect in effects)
 
     def supports(self) -> dict[str, tuple[str, ...]]:
-        """What each object at rest rests on: objects, ``floor``, ``world`` by another joint."""
+        """What each object at rest lies on: other objects, ``floor``, or ``world``."""
         data = self._modes.data
         touching = np.any(self._bodies[data.rows] >= 0, axis=1)
         rows, bodies = data.rows[touching], self._bodies[data.rows[touching]]
@@ -90,15 +92,16 @@ class RestDetector:
 
     def _neighbours(
         self, rests: Set[int], rows: np.ndarray, bodies: np.ndarray
-    ) -> dict[int, dict[str, None]]:
-        """Of each object at rest, the names of what touches it and rests, too, in order of rows."""
-        names: dict[int, dict[str, None]] = {o: {} for o in sorted(rests)}
+    ) -> dict[int, dict[str, bool]]:
+        """Of each object at rest, what touches it and rests, too; and whether it could open."""
+        names: dict[int, dict[str, bool]] = {o: {} for o in sorted(rests)}
         for row, pair in zip(rows.tolist(), bodies.tolist(), strict=True):
             for o, other in (pair, reversed(pair)):
-                if o in rests and other in rests:
-                    names[o][self._objects[other]] = None
-                elif o in rests and other == AT_REST:
-                    names[o][SURROUNDINGS if row in self._floor else str(WORLD)] = None
+                if o not in rests or not (other in rests or other == AT_REST):
+                    continue
+                name = self._objects[other] if other >= 0 else str(WORLD)
+                name = SURROUNDINGS if row in self._floor else name
+                names[o][name] = names[o].get(name, False) or row in self._enforced
         return names
 
 
@@ -118,16 +121,17 @@ def _bodies_of_rows(model: Model) -> tuple[np.ndarray, frozenset[int]]:
 
 
 def _below(
-    objects: tuple[str, ...], neighbours: Mapping[int, Collection[str]]
+    objects: tuple[str, ...], neighbours: Mapping[int, Mapping[str, bool]]
 ) -> dict[str, tuple[str, ...]]:
-    """Of each object that rests on something, its neighbours that are nearer to the floor."""
-    below: dict[str, tuple[str, ...]] = {}
-    nearer = {*STANDS_STILL}
+    """Of each object that lies on something, its neighbours that are nearer to the world."""
+    nearer, below = {*STANDS_STILL}, {}
     while supported := {
-        objects[o]: tuple(name for name in names if name in nearer)
+        o
         for o, names in neighbours.items()
-        if objects[o] not in below and not nearer.isdisjoint(names)
+        if objects[o] not in nearer and not nearer.isdisjoint(names)
     }:
-        below |= supported
-        nearer |= supported.keys()
-    return below
+        for o in supported:
+            opens = (name for name, can_open in neighbours[o].items() if can_open)
+            below[objects[o]] = tuple(name for name in opens if name in nearer)
+        nearer |= {objects[o] for o in supported}
+    return {name: on for name, on in below.items() if on}

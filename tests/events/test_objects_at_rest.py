@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 import pytest
 from event_scenes import GRAVITY, arm, ball, box, fall_time, on_floor, run, times
@@ -160,6 +159,21 @@ def test_a_box_that_will_be_pushed_is_not_in_balance():
     for mu, on in ((None, []), (0.5, [("object", ["floor"])])):
         scene = on_floor(box(height=0.1), mu=mu, effects={"external_wrenches": [push]})
         assert rests(run(scene, 0.5, 1e-8)) == on
+
+
+def test_joints_that_hold_are_not_called_rest():
+    """A block that a weld catches says "attached"; what then lands on it rests."""
+    sizes = (0.2, 0.2, 0.2)
+    objects = {"lower": block(sizes, [0, 0, 1.0]), "upper": block(sizes, [0, 0, 1.25])}
+    catch = {"between": ["lower", "world"], "kind": "weld", "name": "catch", "from": 0.1}
+    joints = [catch, *feet("upper", "lower", below(sizes), 0.1, 0.5)]
+    scene = objects_scene(
+        objects, joints, gravity=DOWN, effects={"unilateral_contacts": START}, robots=ASIDE
+    )
+    trajectory = run(parse_scene(scene), 1.0, 1e-10)
+    fallen = 0.5 * GRAVITY * 0.1**2  # of the lower one until it is caught
+    assert rests(trajectory) == [("upper", ["lower"])]
+    assert times(trajectory, AT_REST) == pytest.approx([fall_time(0.05 + fallen)], abs=1e-10)
 
 
 def test_a_box_leaves_its_rest_and_comes_back():
