@@ -9,6 +9,7 @@ from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
 from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
+from multiarm.events.objects_at_rest import STANDS_STILL
 from multiarm.events.taking_hold import Switch
 from multiarm.events.transition import Decision, Hit
 from multiarm.results.contact_states import ContactState
@@ -46,6 +47,16 @@ def switch_events(modes: Modes, t: float, switch: Switch, decision: Decision) ->
         event = RunEvent(t, EventKind.DETACHED, arm=names[k], energy_loss=0.0)
         events.append(replace(event, impulse=(0.0,) * 6, where=modes.where(k)))
     return events
+
+
+def rest_event(modes: Modes, t: float, name: str, on: tuple[str, ...]) -> RunEvent:
+    """The event of an object that rests from now on."""
+    layout, state = modes.full.model.layout, modes.full.arrays.state
+    where = layout.poses(state.configuration)[layout.objects.index(name), :3]
+    words = " and ".join(f"the {body}" if body in STANDS_STILL else body for body in on)
+    return RunEvent(
+        t, EventKind.AT_REST, f"at rest on {words}", where=tuple(where.tolist()), object=name, on=on
+    )
 
 
 def _kind(

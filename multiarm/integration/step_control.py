@@ -140,6 +140,10 @@ class Clock(Numbers):
         """Go on from the end of the last step with one of the usual length."""
         self.stop, self.h, self.retry_steps = math.inf, self.step, 0
 
+    def watch_stiffness(self) -> None:
+        """Return where stiffness limits the steps from now on."""
+        self.switch, self.stiff_steps, self.smooth_steps = True, 0, 0
+
 
 view_clock, view_settings = view(Clock), view(Settings)
 

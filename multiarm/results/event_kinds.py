@@ -63,6 +63,11 @@ class EventKind(Enum):
         MADE,
         "impacts that came ever faster have ended; the contact stays closed",
     )
+    AT_REST = (
+        "at rest",
+        MADE,
+        "an object does not move any more: what it lies on holds it, or nothing moves it",
+    )
     PUSHES_AGAIN = "pushes again", MADE, "a contact that was pulled pushes"
     RETURNS_TO_PATCH = (
         "is back on its patch",

@@ -7,7 +7,8 @@ whose unit ends the name, as in ``gap_rate_m_s``, or words.  Where a joint takes
 ``arm`` is its name, ``impulse`` (6,) what it exerts on its second body, as ``wrenches`` has forces
 [N s, N m s], ``energy_loss`` the energy lost by it [J], ``where`` its place in the world, and
 ``at``, of one that holds its bodies where they are, its place on the second body: a pose as a scene
-writes it, with ``xyz`` [m] and ``quaternion_xyzw``.
+writes it, with ``xyz`` [m] and ``quaternion_xyzw``.  Where an object comes to rest, ``object`` is
+its name, and ``on`` a list of what it rests on.
 
 A run that chatters makes very many events: `EventLog` lists the first ones and counts the others
 by kind, so that neither a result nor its message grows with them. Figures and replays show a
@@ -102,6 +103,10 @@ class RunEvent:
         Named numbers after an event without sides; units end their names.
     at : tuple of 7 floats or None
         Its pose on the second body, position [m] and quaternion xyzw.
+    object : str
+        That has come to rest; else empty.
+    on : tuple of str
+        What it rests on: other objects, "floor", or "world".
     """
 
     time: float
@@ -118,11 +123,14 @@ class RunEvent:
     energy_loss: float | None = None
     numbers: Mapping[str, float] | None = None
     at: tuple[float, ...] | None = None
+    object: str = ""
+    on: tuple[str, ...] = ()
 
     @property
     def who(self) -> str:
-        """Arm, contact or joint: ``left: fingertip_2``; empty for none."""
-        return ": ".join(name for name in (self.arm, self.contact or self.joint) if name)
+        """Arm, contact or joint: ``left: fingertip_2``, or an object; empty for none."""
+        owner = self.arm or self.object
+        return ": ".join(name for name in (owner, self.contact or self.joint) if name)
 
     @property
     def what(self) -> str:
@@ -150,6 +158,7 @@ class RunEvent:
     def entry(self) -> Event:
         """The event as results have it."""
         names = {"arm": self.arm, "contact": self.contact, "joint": self.joint}
+        names |= {"object": self.object}
         before, after = None, None if self.numbers is None else dict(self.numbers)
         if self.sides is not None:
             before, after = map(self._entry_of, self.sides)
@@ -158,6 +167,7 @@ class RunEvent:
         optional: dict[str, Any] = {"before": before, "after": after, "where": where}
         at = None if self.at is None else {"xyz": [*self.at[:3]], "quaternion_xyzw": [*self.at[3:]]}
         optional |= {"impulse": impulse, "energy_loss": self.energy_loss, "at": at}
+        optional["on"] = list(self.on) or None
         return {
             "time": self.time,
             "kind": self.kind.word,
@@ -246,9 +256,9 @@ def timed(events: Iterable[Event]) -> list[Event]:
 
 
 def who(event: Event) -> str:
-    """Where the event happened: ``left: fingertip_2``, ``floor: corner_1``, an arm, or empty."""
-    part = event.get("contact", event.get("joint"))
-    return ": ".join(str(name) for name in (event.get("arm"), part) if name is not None)
+    """Whose it is: ``left: fingertip_2``, ``floor: corner_1``, an arm, an object; or empty."""
+    owner, part = event.get("arm", event.get("object")), event.get("contact", event.get("joint"))
+    return ": ".join(str(name) for name in (owner, part) if name is not None)
 
 
 def what(event: Event) -> str:

@@ -10,7 +10,9 @@ report, which are logged, and for stiffness.
 keep the steps of an explicit method short.  The loop detects that
 (:func:`multiarm.integration.step_control.limited_by_stability`).  If the user named no method, the
 linearly implicit one then takes over, on trial: each of its steps takes many evaluations, and it
-stays only if it advances further with each of them.
+stays only if it advances further with each of them.  Where an object has been put down, the robots
+may soon stand still, too: trials that failed are repeated then, each after twice as many steps as
+the one before.
 """
 
 from __future__ import annotations
@@ -61,6 +63,8 @@ from multiarm.tableaus import METHODS
 FOR_STIFF_SCENES = "rodas5p"
 # Steps after which a trial shows how long the steps of that method are.
 TRIAL_STEPS = 16
+# Steps after which the first trial that failed is repeated, while an object rests.
+PAUSE_STEPS = 250
 BUDGET = 4000  # evaluations between two calls of progress, and checks of time and Ctrl-C
 CHECKPOINT_INTERVAL = 2.0  # [s] of wall time
 # The pace of a run is judged over this many steps, including rejected ones.  A stop for an event,
@@ -217,6 +221,8 @@ class Driver:
             self.switch.begin_trial(run)
         elif reason == BUDGET_USED:  # all due samples are written
             self.switch.end_trial(run)
+            if events is not None and events.resting:
+                self.switch.repeat_trial(run)
         elif reason == SOLVER_CHANGED and events is not None:
             run.solver_log.reset(run.data)  # unilateral contacts have their own events
         elif reason == SOLVER_CHANGED:
@@ -332,6 +338,7 @@ class Switch:
         self._pace = 0.0  # of this method [s an evaluation]
         self._until = self._spent = 0
         self._since = 0.0
+        self._pause, self._repeat = PAUSE_STEPS, math.inf  # steps between trials; of the next one
 
     def begin_trial(self, run: Run) -> None:
         """Continue with the method for stiff scenes, on trial."""
@@ -348,6 +355,13 @@ class Switch:
             if not self._is_faster(run):
                 self.switched_at = None
                 self._change(run, explicit, f"steps of {FOR_STIFF_SCENES} are too costly here")
+                self._repeat, self._pause = run.clock.steps + self._pause, 2 * self._pause
+
+    def repeat_trial(self, run: Run) -> None:
+        """Detect stiffness once more where it is time for another trial after one that failed."""
+        if run.clock.steps >= self._repeat:
+            run.clock.watch_stiffness()
+            self._repeat = math.inf
 
     def _is_faster(self, run: Run) -> bool:
         """Whether the method on trial advances further with an evaluation."""

@@ -29,7 +29,7 @@ from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
 from multiarm.events.complementarity import Verdict
 from multiarm.events.consistent_mode import enter_consistent_mode
-from multiarm.events.decision_events import decision_events, switch_events
+from multiarm.events.decision_events import decision_events, rest_event, switch_events
 from multiarm.events.event_detection import (
     closed_constraints,
     off_patch_constraints,
@@ -41,6 +41,7 @@ from multiarm.events.kernels import start_guards, write_mode_guards
 from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import IMPACTS, Modes
+from multiarm.events.objects_at_rest import RestDetector
 from multiarm.events.taking_hold import Switch, hold_at, require_reach, switch_joints
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
@@ -93,6 +94,8 @@ class EventHandler:
     impulse_steps : int
     impulse_time : float
         That the impulse steps took [s].
+    resting : frozenset of str
+        Objects at rest.
     """
 
     def __init__(
@@ -121,6 +124,7 @@ class EventHandler:
         self._times: deque[float] = deque(maxlen=ACCUMULATED)
         self._schedule = JointSchedule(self.modes.unilateral, 0.0)
         self._watched: frozenset[int] | None = None  # joints whose ranges are watched
+        self._rest, self.resting = RestDetector(self.modes), frozenset[str]()
         self._phase: ImpulsePhase | None = None
         # of the last one: its end, the length of its steps, and how long it was
         self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
@@ -132,6 +136,10 @@ class EventHandler:
 
         ``given``: the start is not the scene's.  None: the scene's start as it is.
         """
+        layout = self.modes.full.model.layout
+        twists = zip(layout.objects, layout.twists(start.velocity), strict=True)
+        # what does not move at the start comes to rest only after it has moved
+        self.resting = frozenset(name for name, twist in twists if not twist.any())
         self._schedule = schedule = JointSchedule(self.modes.unilateral, time)
         control = self.modes.full.callbacks.get("control")
         if isinstance(control, ControlCallback):
@@ -343,6 +351,7 @@ class EventHandler:
             # what is written at a pause needs a mode whose forces obey the laws
             if (run.clock.t >= until or not lasts) and self._hold(run, step) and not lasts:
                 self._end_phase(run, phase)
+                self._log_rest(run.clock.t)
                 break
             run.clock.stop = run.clock.t  # there the loop returns when it has written what is due
         self.impulse_steps += phase.steps - first
@@ -498,6 +507,8 @@ class EventHandler:
         passed = np.flatnonzero(~(self.modes.guards.value > 0.0)).tolist()
         self._schedule.due.update(k for k, _ in self.modes.moments_of(passed))
         self.stop_at_switch(run)
+        if self._phase is None:
+            self._log_rest(run.clock.t)
 
     def _log_events(self, events: list[RunEvent]) -> None:
         self.count += len(events)
@@ -510,6 +521,15 @@ class EventHandler:
             u
             for u, now in enumerate(decision.mode.states)
             if was[u] == ContactState.OPEN != now or u in {hit.constraint for hit in decision.hits}
+        )
+
+    def _log_rest(self, t: float) -> None:
+        """Log the objects that rest from now on, at the evaluated state in the data."""
+        supports = self._rest.supports()
+        new = supports.keys() - self.resting
+        self.resting = frozenset(supports)
+        self._log.add(
+            *(rest_event(self.modes, t, name, on) for name, on in supports.items() if name in new)
         )
 
     def _accumulate(self, t: float) -> bool:
