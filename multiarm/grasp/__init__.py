@@ -62,7 +62,8 @@ from multiarm.grasp.forces.load_maps import (
 )
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.optimisation import OptimisedGrasp, optimise_grasp
-from multiarm.grasp.pickup.plan import PickupError, PickupPhase, PickupPlan, PickupRefusal
+from multiarm.grasp.pickup.phases import PickupError, PickupPhase, PickupRefusal
+from multiarm.grasp.pickup.plan import PickupPlan
 from multiarm.grasp.pickup.planning import plan_pickup
 from multiarm.grasp.pose.object_frame import (
     FrameCandidate,

@@ -40,7 +40,7 @@ from multiarm.control.object_path import (
 )
 from multiarm.errors import GraspError
 from multiarm.grasp.forces.force_distribution import distribute_forces
-from multiarm.grasp.pickup.plan import GRIP, LIFT, TILT, PickupPlan
+from multiarm.grasp.pickup.phases import GRIP, LIFT, TILT, PhasedPickup
 from multiarm.grasp.pickup.tilting import UP, floor_contacts
 from multiarm.spatial import quaternion_to_matrix
 
@@ -63,7 +63,7 @@ class PickupCourse:
 
     Attributes
     ----------
-    plan : PickupPlan
+    plan : PhasedPickup
     mass : float
         [kg]
     lift : float
@@ -72,7 +72,7 @@ class PickupCourse:
         [s]
     """
 
-    plan: PickupPlan
+    plan: PhasedPickup
     mass: float
     lift: float
     duration: float

@@ -28,16 +28,16 @@ from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
 from multiarm.grasp.pickup.contact_search import ContactSearch, Placement
 from multiarm.grasp.pickup.lying_body import STILL, LyingBody, PivotEdge, lying, reached_part
-from multiarm.grasp.pickup.plan import (
+from multiarm.grasp.pickup.phases import (
     GRIP,
     LIFT,
     TAKE_HOLD,
     TILT,
     PickupError,
     PickupPhase,
-    PickupPlan,
     PickupRefusal,
 )
+from multiarm.grasp.pickup.plan import PickupPlan
 from multiarm.grasp.pickup.tilting import UP, all_pushes, carried, floor_contacts, weakest_force
 
 # Part of the size of a body that a gripper's contacts keep within, by default.

@@ -33,7 +33,7 @@ from multiarm.errors import GraspError
 from multiarm.grasp.arguments import number_of
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.pickup.course import CLOSED, GRAVITY, HELD, LIFTED, TILTED, PickupCourse
-from multiarm.grasp.pickup.plan import PickupPlan
+from multiarm.grasp.pickup.phases import PhasedPickup
 from multiarm.grasp.scenes import arm_table, object_table
 from multiarm.grasp.scenes.hands import (
     LEAST_CLEARANCE,
@@ -73,7 +73,7 @@ REACHED, STEPS = 1e-11, 20
 
 
 def pickup_scene(
-    plan: PickupPlan,
+    plan: PhasedPickup,
     arms: Sequence[str] = ("ur5", "ur5"),
     *,
     table: str | Path,
@@ -90,7 +90,7 @@ def pickup_scene(
 
     Parameters
     ----------
-    plan : PickupPlan
+    plan : PhasedPickup
     arms : sequence of str
         Robots by name, one for each gripper.
     table : path
@@ -172,13 +172,13 @@ def pickup_scene(
     )
 
 
-def _part(plan: PickupPlan, gripper: Gripper, late: bool) -> Gripper:
+def _part(plan: PhasedPickup, gripper: Gripper, late: bool) -> Gripper:
     """A gripper with those of its contacts that take hold late, or with the others."""
     own = tuple(j for j in gripper.contacts if (j in plan.late) == late)
     return replace(gripper, contacts=own)
 
 
-def _joints(plan: PickupPlan, grasp: FaceContacts, begin: float) -> Iterator[dict[str, Any]]:
+def _joints(plan: PhasedPickup, grasp: FaceContacts, begin: float) -> Iterator[dict[str, Any]]:
     """The joints of all grippers: contacts on free faces, and those that hold from a time on."""
     for gripper in grasp.grippers:
         early, late = (_part(plan, gripper, late) for late in (False, True))
@@ -205,7 +205,7 @@ def _joints(plan: PickupPlan, grasp: FaceContacts, begin: float) -> Iterator[dic
 
 
 def _stand(
-    plan: PickupPlan,
+    plan: PhasedPickup,
     grasp: FaceContacts,
     early: Gripper,
     spec: ArmSpec,
