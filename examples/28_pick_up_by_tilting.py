@@ -17,10 +17,11 @@ import multiarm as ma
 
 Polyhedron = ma.grasp.Polyhedron
 BASE = np.array([[-0.25, -0.2], [0.25, -0.2], [0.25, 0.2], [-0.25, 0.2]])  # [m]
+TOP = np.array([0.5, 0.6])  # of a frustum, over its base
 BODIES = {
     "block": Polyhedron.box([0.4, 0.3, 0.3]),
     "wedge": Polyhedron.wedge([0.5, 0.4, 0.3]),
-    "frustum": Polyhedron.hull([[*xy, 0.0] for xy in BASE] + [[*(0.55 * xy), 0.3] for xy in BASE]),
+    "frustum": Polyhedron.hull([[*xy, 0.0] for xy in BASE] + [[*(TOP * xy), 0.3] for xy in BASE]),
     "pyramid": Polyhedron.pyramid(BASE, (0.0, 0.0, 0.15)),
 }
 

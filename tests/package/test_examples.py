@@ -401,7 +401,7 @@ def test_a_beam_is_handed_over(printed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("body", ["block", "wedge"])
+@pytest.mark.parametrize("body", ["block", "wedge", "frustum"])
 def test_a_body_is_picked_up_by_tilting(printed, body):
     text = printed("28_pick_up_by_tilting.py", body)
     ((tilt,),) = figures("by# deg, then", text)
