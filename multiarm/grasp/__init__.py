@@ -21,6 +21,7 @@ package              content                                                   t
 ``pose``             the body's frame from the fingertips                      2.4, B
 ``forces``           forces that exert a wrench, loads that they carry         3.4
 ``optimisation``     the placement with the largest margin, and a bound        5.1
+``pickup``           picking a body up from the floor by tilting it            open there
 ``scenes``           a grasp as a scene with arms, the grasp in a scene
 ===================  ========================================================  ==================
 
@@ -61,6 +62,9 @@ from multiarm.grasp.forces.load_maps import (
 )
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.optimisation import OptimisedGrasp, optimise_grasp
+from multiarm.grasp.pickup.phases import PickupError, PickupPhase, PickupRefusal
+from multiarm.grasp.pickup.plan import PickupPlan
+from multiarm.grasp.pickup.planning import plan_pickup
 from multiarm.grasp.pose.object_frame import (
     FrameCandidate,
     ObjectFrame,
@@ -121,6 +125,10 @@ __all__ = [
     "ObjectFrame",
     "OptimisedGrasp",
     "ParallelDesign",
+    "PickupError",
+    "PickupPhase",
+    "PickupPlan",
+    "PickupRefusal",
     "Polyhedron",
     "Roundness",
     "ThreeMoments",
@@ -154,6 +162,7 @@ __all__ = [
     "optimise_grasp",
     "own_regions",
     "parallel_design",
+    "plan_pickup",
     "roundness",
     "search_grasp",
     "seventh_contact_region",

@@ -401,6 +401,27 @@ def test_a_beam_is_handed_over(printed):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("body", ["block", "wedge", "frustum"])
+def test_a_body_is_picked_up_by_tilting(printed, body):
+    text = printed("28_pick_up_by_tilting.py", body)
+    ((tilt,),) = figures("by# deg, then", text)
+    assert 5.0 < tilt <= 30.0
+    times = [time for (time,) in figures(r"(?m)^# s  floor: corner \d lets go", text)]
+    ((attached,),) = figures(r"(?m)^# s  gripper_\d_below: attached", text)
+    assert sum(time < attached for time in times) == sum(time > attached for time in times) == 2
+    ((weakest,),) = figures("free faces press with# N", text)
+    ((below,),) = figures("those below with# N", text)
+    assert min(weakest, below) > 0.07 * 5.0 * 9.81
+    ((rise,),) = figures("is lifted by# mm", text)
+    assert rise == pytest.approx(100.0, abs=0.1) and "\nmet: " in text
+
+
+def test_a_flat_pyramid_is_not_picked_up(printed):
+    text = printed("28_pick_up_by_tilting.py", "pyramid")
+    assert text.count("every push on its free faces turns it down") == 4
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"

@@ -125,7 +125,7 @@ def grasp_scene(
     )
     grasp = _centred(grasp)
     require_room(grasp, tip_radius)
-    body = _object(grasp.body, mass, mesh)
+    body = object_table(grasp.body, mass, mesh)
     specs = [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
     way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
@@ -143,7 +143,7 @@ def grasp_scene(
         gravity=GRAVITY,
         object={**body, "pose": pose_table(start.pose(np.eye(4)))},
         arms={
-            gripper.arm_name: _arm(upright, gripper, spec, stand, tip_radius, hand_mass)
+            gripper.arm_name: arm_table(upright, gripper, spec, stand, tip_radius, hand_mass)
             for gripper, spec, stand in zip(upright.grippers, specs, start.arms, strict=True)
         },
         joints=[
@@ -231,7 +231,7 @@ def path_of(path: Sequence[Waypoint] | None, duration: float) -> list[Waypoint]:
     return way
 
 
-def _arm(
+def arm_table(
     grasp: FaceContacts,
     gripper: Gripper,
     spec: ArmSpec,
@@ -239,6 +239,7 @@ def _arm(
     tip_radius: float,
     hand_mass: float,
 ) -> dict[str, Any]:
+    """An arm that stands with the hand of a gripper, as a scene writes it."""
     hand = fingers(grasp, gripper, stand.mount, tip_radius, hand_mass)
     yaw = math.atan2(stand.base[1, 0], stand.base[0, 0])
     return {
@@ -251,7 +252,7 @@ def _arm(
     }
 
 
-def _object(body: Polyhedron, mass: float, mesh: str | Path | None) -> dict[str, Any]:
+def object_table(body: Polyhedron, mass: float, mesh: str | Path | None) -> dict[str, Any]:
     """A block along the axes as such, other convex bodies by their corners, the rest by a file."""
     edges = np.ptp(body.vertices, axis=0)
     if len(body.vertices) == 8 and np.allclose(

@@ -97,14 +97,35 @@ def hand_pose(
         As for :func:`approach`.
     """
     z = approach(grasp, gripper, level)
-    faces = sorted({grasp.faces[j] for j in gripper.contacts})
-    steepest = min(float(-grasp.body.faces[k].normal @ z) for k in faces)
+    return mount_pose(grasp, gripper, z, gripper.corner, turn, tip_radius)
+
+
+def mount_pose(
+    grasp: FaceContacts,
+    gripper: Gripper,
+    direction: np.ndarray,
+    aim: np.ndarray,
+    turn: float,
+    tip_radius: float,
+) -> np.ndarray:
+    """Pose (4, 4) of the mount in the body's frame.
+
+    Parameters
+    ----------
+    direction : ndarray, shape (3,)
+        Its z axis, a unit vector that clears all faces that are touched.
+    aim : ndarray, shape (3,)
+        Where it points to [m].
+    turn : float
+        About that axis [rad].
+    """
+    steepest = float(np.min(grasp.contacts.normals[list(gripper.contacts)] @ direction))
     stand_off = max(
         SHORTEST, SLENDER * grasp.gripper_size(gripper.name), CLEAR * tip_radius / steepest
     )
-    side = across(z)
-    x = np.cos(turn) * side + np.sin(turn) * np.cross(z, side)
-    return frame_of(z, x, gripper.corner - stand_off * z)
+    side = across(direction)
+    x = np.cos(turn) * side + np.sin(turn) * np.cross(direction, side)
+    return frame_of(direction, x, aim - stand_off * direction)
 
 
 def fingers(
@@ -279,13 +300,13 @@ def stand_arms(
     UnreachableError
         When an arm reaches its corner from nowhere.
     """
-    robots = [InverseKinematics(_robot(spec)) for spec in arms]
+    robots = [InverseKinematics(robot_alone(spec)) for spec in arms]
     reaches = [farthest(robot.arm, rng) for robot in robots]
     turns = [np.eye(4), *_sideways(grasp)]
     tried, missed = [], ""
     for number, turn in enumerate(turns):
         turned = grasp.placed(turn)
-        clear = _clear_of(turned.body)
+        clear = clear_of_body(turned.body)
         lowest = -float(np.min(turned.body.vertices[:, 2]))
         heights = [height] if height is not None else [lowest + h * max(reaches) for h in HEIGHTS]
         starts: list[Stands] = []
@@ -333,22 +354,22 @@ def _places(
     for distance, aside, pedestal, level, turn in product(
         DISTANCES, SIDEWAYS, PEDESTALS, LEVELS, TURNS
     ):
-        direction = beyond + aside
-        base = np.eye(4)
-        base[:2, 3] = corner[:2] + distance * reach * np.array(
-            [np.cos(direction), np.sin(direction)]
-        )
-        base[:3, 3] = *np.round(base[:2, 3], 3), round(pedestal * reach, 2)
-        facing = round(float(np.arctan2(*(corner[:2] - base[:2, 3])[::-1])), 4)
-        base[:2, :2] = [
-            [np.cos(facing), -np.sin(facing)],
-            [np.sin(facing), np.cos(facing)],
-        ]
+        base = base_facing(corner, beyond + aside, distance * reach, pedestal * reach)
         worth = PEDESTAL_COST if base[2, 3] > 0.0 else 1.0
         yield base, hand_pose(grasp, gripper, turn, tip_radius, level), worth
 
 
-def _clear_of(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
+def base_facing(place: np.ndarray, direction: float, distance: float, height: float) -> np.ndarray:
+    """Pose (4, 4) of a base that faces a place (3,) from a direction [rad], rounded."""
+    base = np.eye(4)
+    along = np.array([np.cos(direction), np.sin(direction)])
+    base[:3, 3] = *np.round(place[:2] + distance * along, 3), round(height, 2)
+    facing = round(float(np.arctan2(*(place[:2] - base[:2, 3])[::-1])), 4)
+    base[:2, :2] = [[np.cos(facing), -np.sin(facing)], [np.sin(facing), np.cos(facing)]]
+    return base
+
+
+def clear_of_body(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray], float]:
     """How well links keep apart from the body, see :class:`StandSearch`, and from the ground.
 
     A body that is not convex counts with the half-spaces of all its faces.
@@ -364,7 +385,8 @@ def _clear_of(body: Polyhedron) -> Callable[[np.ndarray, np.ndarray, np.ndarray]
     return clear
 
 
-def _robot(spec: ArmSpec) -> Robot:
+def robot_alone(spec: ArmSpec) -> Robot:
+    """The robot of an arm, as it is written."""
     return Robot(spec.robot or "arm", robot_files(spec, resolve_arm(spec)))
 
 

@@ -1,0 +1,1 @@
+"""Picking a body up from the floor by tilting it about an edge."""

@@ -1,0 +1,386 @@
+r"""Planning a pick-up: without tilting if that can be, else about the edge of least force.
+
+For each edge, the first of these that fails is the reason why not:
+
+1. Some pushes on the faces that are free, with the floor at the edge, carry the weight.
+2. Tilted as far as can be, the face that the body lies on has the height that a finger needs.
+3. Contacts anywhere on the free faces and on the part of this face that is freed close the body.
+4. Two grippers at corners of the body, each from one side, reach such contacts.
+5. A search finds seven contacts that hold the body in all phases with bounded forces.
+
+The first three are proofs: pushes at the corners of the parts that can be reached stand for all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multiarm.errors import GraspError
+from multiarm.grasp.arguments import number_of
+from multiarm.grasp.body.body_class import as_polyhedron
+from multiarm.grasp.body.face import across, frame_of
+from multiarm.grasp.body.polyhedron import Polyhedron
+from multiarm.grasp.closure.form_closure import is_form_closure
+from multiarm.grasp.closure.motions import motion_in_words
+from multiarm.grasp.contacts import Contacts
+from multiarm.grasp.face_contacts import Gripper
+from multiarm.grasp.grasp import Grasp
+from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
+from multiarm.grasp.pickup.contact_search import ContactSearch, Placement
+from multiarm.grasp.pickup.lying_body import STILL, LyingBody, PivotEdge, lying, reached_part
+from multiarm.grasp.pickup.phases import (
+    GRIP,
+    LIFT,
+    TAKE_HOLD,
+    TILT,
+    PickupError,
+    PickupPhase,
+    PickupRefusal,
+)
+from multiarm.grasp.pickup.plan import PickupPlan
+from multiarm.grasp.pickup.tilting import UP, all_pushes, carried, floor_contacts, weakest_force
+
+# Part of the size of a body that a gripper's contacts keep within, by default.
+GRIPPER_SIZE = 0.4
+# A body is tilted no farther than this where that is enough [rad].
+USUAL_TILT = np.radians(30.0)
+# Contacts of the two grippers, and those on the face that the body lies on, at most: three fix the
+# body against it.
+FINGERS, MOST_BELOW = (4, 3), 3
+# Fingertips are this many radii apart.
+SPACING = 4.0
+# Forces of hands that are larger than so many weights are not used.
+LARGEST = 10.0
+# A tilt by one radian costs as much as all forces again.  One in which hands and floor do not close
+# the body, so that only its weight holds it, costs so many times as much.
+ONLY_BY_WEIGHT = 2.0
+CHEAPER = "it takes larger forces, or a larger tilt"
+# Parts of the angle at which equilibrium is looked at, by the search and in the plan.
+JUDGED, SAMPLES = (0.0, 0.5, 1.0), (0.0, 0.25, 0.5, 0.75, 1.0)
+# Smallest singular value of scaled wrenches that hold a body.
+FULL_RANK = 1e-3
+
+
+def plan_pickup(
+    body: Polyhedron,
+    *,
+    face: int | str | None = None,
+    gripper_size: float | None = None,
+    finger: float = 0.03,
+    tip_radius: float = 0.01,
+    least: float = 0.1,
+    rng: np.random.Generator | int | None = 0,
+) -> PickupPlan:
+    """Plan how two grippers without friction pick a body up from the floor, tilting it if need be.
+
+    Parameters
+    ----------
+    body : Polyhedron
+        Convex.
+    face : int or str, optional
+        On which it lies, by number or name; left out: the one that looks down most steeply.
+    gripper_size : float, optional
+        All contacts of a gripper are within this distance of a corner of the body [m]; left out:
+        two fifths of the size of the body.
+    finger : float
+        Height above the floor that a contact needs [m].
+    tip_radius : float
+        Of the fingertips [m]: contacts keep it from the edges of their faces.
+    least : float
+        Every contact that presses does so with this part of the weight at least.
+    rng : Generator or int
+        Of the search for contacts; the same seed gives the same plan.
+
+    Raises
+    ------
+    PickupError
+        Nothing picks the body up, or no contacts were found: why, for each edge.
+    GraspError
+        Unusable numbers; a body that is not convex, or does not lie on the face.
+    """
+    body = as_polyhedron(body)
+    size = GRIPPER_SIZE * body.size if gripper_size is None else gripper_size
+    lengths = {"finger": finger, "tip_radius": tip_radius, "least": least, "gripper_size": size}
+    for name, value in lengths.items():
+        number_of(value, f"{name} is greater than 0", above=0.0)
+    planner = _Planner(
+        lying(body, face), size, finger, tip_radius, least, np.random.default_rng(rng)
+    )
+    return planner.plan()
+
+
+class _NotHeldError(Exception):
+    """Contacts do not hold the body in some phase; by a force over the weight, or not at all."""
+
+    def __init__(self, lacking: float = np.inf) -> None:
+        super().__init__()
+        self.lacking = lacking
+
+
+class _Planner:
+    """The search for a plan, one edge after the other."""
+
+    def __init__(
+        self,
+        lies: LyingBody,
+        gripper_size: float,
+        finger: float,
+        tip_radius: float,
+        least: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.lies, self.body = lies, lies.body
+        self.gripper_size, self.finger, self.tip_radius = gripper_size, finger, tip_radius
+        self.least, self.rng = least, rng
+        self.free = self._parts([STILL])
+        self.most = LARGEST
+
+    def plan(self) -> PickupPlan:
+        """The plan."""
+        refused: list[PickupRefusal] = []
+        best: tuple[PivotEdge | None, Placement] | None = None
+        for edge in (None, *self.lies.edges()):
+            outcome = self._placement(edge)
+            if isinstance(outcome, PickupRefusal):
+                refused.append(outcome)
+            else:
+                if best is not None:
+                    refused.append(PickupRefusal(best[0], CHEAPER))
+                best, self.most = (edge, outcome), outcome.cost
+                if edge is None:
+                    break
+        if best is None:
+            lines = "".join(f"\n- {refusal}" for refusal in refused)
+            raise PickupError(
+                f"the body is not picked up from {self.body.names[self.lies.face]}:{lines}", refused
+            )
+        return self._finished(*best, tuple(refused))
+
+    # --- what can be --------------------------------------------------------------------------
+
+    def _placement(self, edge: PivotEdge | None) -> Placement | PickupRefusal:
+        """The cheapest contacts for tilting about an edge, or why there are none."""
+        if edge is None:
+            return self._placement_at(None, 0.0)
+        obstacle = self._obstacle(edge)
+        if obstacle is not None:
+            return obstacle
+        usual = min(USUAL_TILT, edge.limit)
+        outcome = self._placement_at(edge, usual)
+        if isinstance(outcome, PickupRefusal) and usual < edge.limit and self.most == LARGEST:
+            return self._placement_at(edge, edge.limit)
+        return outcome
+
+    def _obstacle(self, edge: PivotEdge) -> PickupRefusal | None:
+        """Why no pushes carry the body with the floor at an edge alone, with proof."""
+        pushes = all_pushes(self.body, self.free)
+        floor = floor_contacts(self.body, self.lies.pose, edge.vertices)
+        contacts = floor if pushes is None else pushes.joined(floor)
+        lifted = carried(self.body, self.lies.pose, contacts, 0.0)
+        if lifted:
+            return None
+        tilting = edge.twist(self.lies.pose)
+        if np.all(contacts.wrenches.T @ tilting <= 1e-9 * self.body.size):
+            reason = "every push on its free faces turns it down onto the floor"
+            return PickupRefusal(edge, reason, tilting)
+        assert lifted.motion is not None
+        words = motion_in_words(contacts, lifted.motion)
+        return PickupRefusal(
+            edge,
+            f"pushes on its free faces do not lift it: none does work when it can {words}, which "
+            "lifts its weight",
+            lifted.motion,
+        )
+
+    def _placement_at(self, edge: PivotEdge | None, limit: float) -> Placement | PickupRefusal:
+        """The cheapest contacts for tilting by an angle at most, or why there are none."""
+        parts = self._parts([STILL] if edge is None else [STILL, edge.turned(limit)])
+        below = self.body.names[self.lies.face]
+        if edge is not None:
+            freed = reached_part(self.lies, self.lies.face, [edge.turned(limit)], self.finger)
+            if freed is None:
+                away = edge.distance(self.lies.at(self.body.faces[self.lies.face].vertices))
+                return PickupRefusal(
+                    edge,
+                    f"{below} gets {away.max() * np.sin(limit):.3g} m above the floor at most, at "
+                    f"{np.degrees(limit):.0f} deg, and a finger needs {self.finger:g} m",
+                )
+            parts[self.lies.face] = freed
+        pushes = all_pushes(self.body, parts)
+        closure = None if pushes is None else is_form_closure(pushes)
+        if pushes is None or closure is None:
+            return PickupRefusal(edge, "no face is free")
+        if closure.motion is not None:
+            words = motion_in_words(pushes, closure.motion)
+            reason = f"contacts on the free faces do not close it: it can {words}"
+            return PickupRefusal(edge, reason, closure.motion)
+        return self._found(edge, limit, parts)
+
+    def _found(
+        self, edge: PivotEdge | None, limit: float, parts: dict[int, np.ndarray]
+    ) -> Placement | PickupRefusal:
+        """The cheapest contacts on parts of faces that were found."""
+        try:
+            choices = self._choices(edge, parts)
+        except GraspError as error:
+            return PickupRefusal(edge, str(error))
+        if not len(choices):
+            return PickupRefusal(
+                edge,
+                f"no two grippers of {self.gripper_size:.3g} m reach faces that close it, each "
+                "from one side; choose larger ones",
+            )
+        motions = [STILL] if edge is None else [STILL, edge.turned(limit)]
+        forces = [(motion @ self.lies.pose)[:3, :3].T @ UP for motion in motions]
+        search = ContactSearch(
+            choices=choices,
+            middle=np.asarray(self.body.centre),
+            size=self.body.size,
+            loads=[np.concatenate([force, np.zeros(3)]) for force in forces],
+            least=self.least,
+            spacing=SPACING * self.tip_radius,
+            judge=lambda contacts, faces, most: self._cost(edge, contacts, faces, most),
+            most=self.most,
+            impossible=LARGEST,
+            rng=self.rng,
+        )
+        best = search.best()
+        if best is not None:
+            return best
+        reason = (
+            CHEAPER
+            if self.most < LARGEST
+            else f"no contacts were found that hold it with less than {LARGEST:g} weights in all "
+            "phases; choose larger grippers, a smaller finger or another seed"
+        )
+        return PickupRefusal(edge, reason)
+
+    def _choices(self, edge: PivotEdge | None, parts: dict[int, np.ndarray]) -> FaceChoices:
+        """Choices of faces of which some contacts are on the face that is freed."""
+        regions = touch_regions(
+            self.body,
+            self.body.vertices,
+            self.gripper_size,
+            clearance=self.tip_radius,
+            faces=parts,
+        )
+        choices = face_choices(regions, FINGERS)
+        below = np.array([region.face == self.lies.face for region in choices.regions], dtype=int)
+        counts = below[choices.numbers].sum(axis=1)
+        usable = (counts >= (edge is not None)) & (counts <= MOST_BELOW)
+        return FaceChoices(choices.regions, choices.numbers[usable])
+
+    def _parts(self, motions: list[np.ndarray]) -> dict[int, np.ndarray]:
+        """What fingertips reach of the faces after every one of some motions, by face."""
+        numbers = range(len(self.body.faces))
+        parts = {k: reached_part(self.lies, k, motions, self.finger) for k in numbers}
+        return {k: part for k, part in parts.items() if part is not None}
+
+    # --- phases -------------------------------------------------------------------------------
+
+    def _late(self, faces: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(j for j, face in enumerate(faces) if face == self.lies.face)
+
+    def _angle(self, edge: PivotEdge | None, contacts: Contacts, late: tuple[int, ...]) -> float:
+        """The tilt at which the lowest of the late contacts has the height of a finger [rad]."""
+        if edge is None:
+            return 0.0
+        away = edge.distance(self.lies.at(contacts.points[list(late)]))
+        return float(np.arcsin(self.finger / away.min()))
+
+    def _cost(
+        self, edge: PivotEdge | None, contacts: Contacts, faces: tuple[int, ...], most: float
+    ) -> float:
+        """The largest force of the hands in all phases, over the weight, and more for the tilt.
+
+        Above ``LARGEST`` by what is lacking where they do not hold the body.
+        """
+        try:
+            phases = self._phases(edge, contacts, faces, JUDGED, most)
+        except _NotHeldError as error:
+            return LARGEST + error.lacking
+        cost = max(phase.largest for phase in phases)
+        closed = all(phase.closure for phase in phases if phase.name == TILT)
+        cost *= 1.0 + self._angle(edge, contacts, self._late(faces))
+        return cost if closed else ONLY_BY_WEIGHT * cost
+
+    def _phases(
+        self,
+        edge: PivotEdge | None,
+        contacts: Contacts,
+        faces: tuple[int, ...],
+        samples: tuple[float, ...],
+        most: float = np.inf,
+    ) -> tuple[PickupPhase, ...]:
+        late, everyone = self._late(faces), tuple(range(len(contacts)))
+        early = tuple(j for j in everyone if j not in late)
+        angle = self._angle(edge, contacts, late)
+        start, end = np.zeros(1), np.array([angle])
+        phases: list[tuple[str, tuple[int, ...], tuple[int, ...], np.ndarray]] = []
+        if edge is not None:  # what takes most force comes first
+            phases.append((TILT, early, edge.vertices, np.array(samples) * angle))
+        phases.append((LIFT, everyone, (), end))
+        phases.append((GRIP, early, self.lies.corners, start))
+        if edge is not None:
+            phases.append((TAKE_HOLD, everyone, edge.vertices, end))
+        done = {phase[0]: self._phase(edge, contacts, *phase, most) for phase in phases}
+        return tuple(done[name] for name in (GRIP, TILT, TAKE_HOLD, LIFT) if name in done)
+
+    def _phase(
+        self,
+        edge: PivotEdge | None,
+        contacts: Contacts,
+        name: str,
+        pressing: tuple[int, ...],
+        floor: tuple[int, ...],
+        angles: np.ndarray,
+        most: float,
+    ) -> PickupPhase:
+        forces, hands = [], contacts.subset(pressing)
+        pushes = hands
+        for angle in angles:
+            motion = STILL if edge is None else edge.turned(float(angle))
+            pose = motion @ self.lies.pose
+            if floor:
+                pushes = hands.joined(floor_contacts(self.body, pose, floor))
+            lowest = np.linalg.svd(pushes.scaled_wrenches, compute_uv=False)[-1]
+            if len(pushes) < 6 or lowest < FULL_RANK:
+                raise _NotHeldError
+            carrying = carried(self.body, pose, pushes, self.least)
+            if carrying.forces is None:
+                raise _NotHeldError(self.least - weakest_force(self.body, pose, pushes))
+            if carrying.forces[: len(hands)].max() > most:
+                raise _NotHeldError
+            forces.append(carrying.forces)
+        return PickupPhase(name, pressing, floor, angles, np.array(forces), pushes)
+
+    def _finished(
+        self, edge: PivotEdge | None, placement: Placement, refused: tuple[PickupRefusal, ...]
+    ) -> PickupPlan:
+        normals = [region.normal for region in placement.regions]
+        carried_by = (tuple(range(FINGERS[0])), tuple(range(FINGERS[0], sum(FINGERS))))
+        names = [
+            f"gripper {g + 1} tip {k + 1}" for g, count in enumerate(FINGERS) for k in range(count)
+        ]
+        contacts, faces = Contacts(placement.points, normals, names), placement.faces
+        grippers = []
+        for number, carries in enumerate(carried_by, start=1):
+            inward = contacts.normals[list(carries)].mean(axis=0)
+            inward /= np.linalg.norm(inward)
+            corner = self.body.vertices[placement.regions[carries[0]].place]
+            frame = frame_of(inward, across(inward), corner)
+            grippers.append(Gripper(f"gripper {number}", carries, frame))
+        late = self._late(faces)
+        return PickupPlan(
+            lies=self.lies,
+            free_faces=tuple(self.free),
+            edge=edge,
+            angle=self._angle(edge, contacts, late),
+            grasp=Grasp(self.body, contacts, faces, tuple(grippers)),
+            late=late,
+            phases=self._phases(edge, contacts, faces, SAMPLES),
+            finger=self.finger,
+            tip_radius=self.tip_radius,
+            least=self.least,
+            refused=refused,
+        )
