@@ -154,7 +154,9 @@ class EventHandler:
         self._log_decision(time, decision, Mode((), ()))
         if decision.undecided:
             raise SolverError(f"at the start: {decision.undecided.message}")
-        changed = decision.hits or given or jams
+        # the scene's start is that of the joints that hold at 0 s
+        elsewhere = schedule.holding != self.modes.unilateral.holding_at(0.0)
+        changed = decision.hits or given or jams or elsewhere
         return self.modes.data, self.modes.data.get_state() if changed else None
 
     def _jams(self, decision: Decision) -> bool:
