@@ -242,14 +242,28 @@ class Driver:
         if interrupted:
             return Ending(End.INTERRUPTED, f"stopped by the user {where}")
         if returned.reason not in GOES_ON:
-            return failure_of(run, returned.reason)
+            ending = failure_of(run, returned.reason)
+            if returned.reason != STEP_TOO_SMALL:
+                return ending
+            return ending._replace(message=ending.message + self._lost_grips())
         if returned.event_fault:
             return Ending(End.UNDECIDED, f"{where}: {returned.event_fault}")
         if run.clock.evaluations > most_evaluations:
             return Ending(End.STALLED, f"{where}: {TOO_MANY}")
         if stall := self._pace.stall(run, self.event_stops):
-            return Ending(End.STALLED, f"{where}: {stall.message}")
+            return Ending(End.STALLED, f"{where}: {stall.message}{self._lost_grips()}")
         return None
+
+    def _lost_grips(self) -> str:
+        """For a message on short steps: contacts that the control counts on and that are open."""
+        owners = () if self.events is None else self.events.taken_for_closed
+        if not owners:
+            return ""
+        names = ", ".join(repr(owner) for owner in owners)
+        return (
+            f"; the control carries the weight as if all contacts of {names} were closed, but some "
+            "are open: let that joint let go (`until`), or leave the gravity compensation out"
+        )
 
 
 @dataclass(frozen=True)

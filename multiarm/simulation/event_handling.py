@@ -17,6 +17,7 @@ import numpy as np
 
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
+from multiarm.dynamics.arrays import CARRYING
 from multiarm.dynamics.callbacks import ControlCallback
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.data import Data
@@ -124,6 +125,18 @@ class EventHandler:
         self._phase: ImpulsePhase | None = None
         # of the last one: its end, the length of its steps, and how long it was
         self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
+
+    @property
+    def taken_for_closed(self) -> tuple[str, ...]:
+        """Owners of contacts that are open, which laws of control take for closed."""
+        modes = self.modes
+        model = modes.full.model
+        if model.constants.control_reach < CARRYING:
+            return ()
+        seen = {*modes.unilateral.rows_held_by(modes.holding, modes.unilateral.of_laws)}
+        pairs = zip(modes.unilateral.constraints, modes.mode.states, strict=True)
+        owners = (c.owner for c, state in pairs if state == ContactState.OPEN and c.row in seen)
+        return tuple(dict.fromkeys(owners))
 
     # --- beginning --------------------------------------------------------------------------------
 
