@@ -53,6 +53,7 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
 from multiarm.results.outcome import RunStatus
 from multiarm.scene import RunSpec
+from multiarm.scene.faults import listed
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
 from multiarm.simulation.setup import Run, Task, control_end
@@ -255,14 +256,13 @@ class Driver:
         return None
 
     def _lost_grips(self) -> str:
-        """For a message on short steps: contacts that the control counts on and that are open."""
-        owners = () if self.events is None else self.events.taken_for_closed
-        if not owners:
+        """For messages on short steps: joints that the control counts on, with open contacts."""
+        names = () if self.events is None else self.events.lost_grips
+        if not names:
             return ""
-        names = ", ".join(repr(owner) for owner in owners)
         return (
-            f"; the control carries the weight as if all contacts of {names} were closed, but some "
-            "are open: let that joint let go (`until`), or leave the gravity compensation out"
+            f"; the control carries the weight by {listed(names)}, all of whose contacts are open: "
+            "let that joint let go (`until`), or leave the gravity compensation out"
         )
 
 

@@ -127,16 +127,18 @@ class EventHandler:
         self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
 
     @property
-    def taken_for_closed(self) -> tuple[str, ...]:
-        """Owners of contacts that are open, which laws of control take for closed."""
-        modes = self.modes
-        model = modes.full.model
+    def lost_grips(self) -> tuple[str, ...]:
+        """Joints all of whose contacts are open, which laws of control take for closed."""
+        modes, model = self.modes, self.modes.full.model
         if model.constants.control_reach < CARRYING:
             return ()
         seen = {*modes.unilateral.rows_held_by(modes.holding, modes.unilateral.of_laws)}
         pairs = zip(modes.unilateral.constraints, modes.mode.states, strict=True)
-        owners = (c.owner for c, state in pairs if state == ContactState.OPEN and c.row in seen)
-        return tuple(dict.fromkeys(owners))
+        states: dict[str, set[ContactState]] = {}
+        for constraint, state in pairs:
+            if constraint.row in seen:
+                states.setdefault(constraint.owner, set()).add(state)
+        return tuple(name for name, of_joint in states.items() if of_joint == {ContactState.OPEN})
 
     # --- beginning --------------------------------------------------------------------------------
 

@@ -24,4 +24,4 @@ def test_a_run_whose_control_counts_on_open_contacts_says_so():
     """Gravity compensation throws the box: it carries it with contacts that have opened."""
     verdict = judge(draw("pads", 23), ACCURACY)
     assert verdict.end == "lost grip", verdict.message
-    assert "'left', 'right'" in verdict.message
+    assert "by 'left', 'right'," in verdict.message

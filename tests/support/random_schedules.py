@@ -40,7 +40,7 @@ REASONS = {
     "far": "would take hold across",
     "fast": "more than its 'speed_limit'",
     "paradox": "no solution (Painleve)",
-    "lost grip": "as if all contacts of",
+    "lost grip": "all of whose contacts are open",
 }
 """Why a run may end before its time, and what its message has then."""
 HELD = ("weld", "weld", "ball", "revolute", "prismatic", "universal", "cylindrical", "planar")
