@@ -317,7 +317,8 @@ def judge(table: Table, accuracy: float) -> Verdict:
     driven = bool(np.max(np.abs(run.work - passive)) > 1e-12 * size)
     own = run.energy - (run.work - passive)  # as if nothing did work from outside
     weight = 9.81 * sum(body.mass for body in system.scene.all_objects.values())
-    closing = len(losses) * weight * LARGEST_GAP if any("at" in j for j in table["joints"]) else 0.0
+    has_places = not all(joint.located for joint in system.model.timed_joints)
+    closing = len(losses) * weight * LARGEST_GAP * has_places
     return Verdict(
         end,
         run.message,
@@ -380,7 +381,7 @@ def main() -> int:
     parser.add_argument("--number", type=int, default=100, help="scenes of each family")
     parser.add_argument("--seed", type=int, default=0, help="of the first")
     parser.add_argument("--accuracy", type=float, default=1e-4)
-    parser.add_argument("--limit", type=int, default=300, help="of a run [s]")
+    parser.add_argument("--limit", type=int, default=300, help="of a run [s of CPU time]")
     options = parser.parse_args()
     faults = 0
     for family in options.family or FAMILIES:
@@ -388,8 +389,8 @@ def main() -> int:
         worst: dict[str, tuple[float, int]] = {}
         switched = 0
         for seed in range(options.seed, options.seed + options.number):
-            began = time.monotonic()
-            signal.alarm(options.limit)
+            began = time.process_time()
+            signal.setitimer(signal.ITIMER_PROF, options.limit)
             try:
                 verdict = judge(draw(family, seed), options.accuracy)
             except Exception as error:
@@ -398,10 +399,10 @@ def main() -> int:
                 print(family, seed, type(error).__name__, str(error)[:300], flush=True)
                 continue
             finally:
-                signal.alarm(0)
+                signal.setitimer(signal.ITIMER_PROF, 0.0)
             ends[verdict.end] += 1
             switched += verdict.switches
-            took, wrong = time.monotonic() - began, verdict.faults(options.accuracy)
+            took, wrong = time.process_time() - began, verdict.faults(options.accuracy)
             faults += bool(wrong)
             if wrong or took > SLOW:
                 words = "; ".join(wrong) or verdict.message
@@ -421,5 +422,5 @@ def too_long(_number: int, _frame: Any) -> None:
 
 
 if __name__ == "__main__":
-    signal.signal(signal.SIGALRM, too_long)
+    signal.signal(signal.SIGPROF, too_long)
     sys.exit(main())
