@@ -8,9 +8,8 @@ Those who take hold move against the box, so that each grip is an impact.
 
 MuJoCo holds by ``weld`` constraints, ``eq_active`` at the same times; each is put where both bodies
 are when it takes hold.  It has the joints' springs and dampers as its own, and references from a
-tape: no Python is in its loop.  With the shipped settings, with the stiffest time constant that it
-allows (``solref`` of two steps), and hardened as in :mod:`multiarm.studies.mujoco_peer`, a limit
-that cannot be had otherwise.
+tape: no Python is in its loop.  It is run as shipped, with the stiffest time constant that it
+allows (``solref`` of two steps), and hardened besides, see :mod:`multiarm.studies.mujoco_peer`.
 """
 
 from __future__ import annotations

@@ -21,21 +21,18 @@ from multiarm.assembly.contact_effects import (
 )
 from multiarm.assembly.robots import Robots
 from multiarm.contacts.joint import COMPONENTS, Joint, JointFrame
-from multiarm.contacts.motion import BodyMotion
 from multiarm.contacts.table import JointRow, PackedContacts, WheelRow, pack
 from multiarm.contacts.unilateral import UnilateralConstraints
 from multiarm.dynamics.connections import Connection
-from multiarm.dynamics.contact_geometry import free_components, joint_wrenches
+from multiarm.dynamics.contact_geometry import free_components, joint_wrenches, pose_and_twist
 from multiarm.dynamics.data import Data
-from multiarm.dynamics.equations import update_kinematics
-from multiarm.dynamics.failures import joint_of, joint_text, require_ok
+from multiarm.dynamics.failures import joint_of, joint_text
 from multiarm.dynamics.layout import TWIST, Layout
 from multiarm.dynamics.solver.dense import null_space
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.building import joint_numbers
 from multiarm.errors import ModelError
-from multiarm.jit.rows import fields_of
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec, ResolvedRobot, Scene, friction_of
 from multiarm.scene.joints import BUILT_IN
@@ -111,21 +108,13 @@ def _where_joined(joint: JointSpec, data: Data, start: State) -> State:
     if not (apart and objects) or isinstance(joint, ContactsJoint):
         return start
     state, model = start.copy(), data.model
-    data.set_state(0.0, start)
-    require_ok(data, update_kinematics(data.struct))
-    frames = model.frames_on_bodies(joint.connection)
-    motions = fields_of(BodyMotion, data.arrays.bodies.motion)
-    first, second = model.bodies_of(joint.connection)
-    sides = {
-        first: (frames.on_link, frames.origin_on_link),
-        second: (frames.on_object, frames.origin_on_object),
-    }
-    moved, other = (second, first) if objects[0] == joint.second else (first, second)
-    (R_moved, p_moved), (R_other, p_other) = sides[moved], sides[other]
-    R = motions.rotation[other] @ R_other @ R_moved.T
-    origin = motions.origin[other] + motions.rotation[other] @ p_other - R @ p_moved
+    frame, pair = model.frames[joint.connection], model.connections[joint.connection]
+    (X_W1, _), (X_W2, _) = (pose_and_twist(model, start, at) for at in (pair.first, pair.second))
+    X_WO = X_W2 @ frame.on_object @ np.linalg.inv(frame.on_tip)
+    if objects[0] == joint.second:
+        X_WO = X_W1 @ frame.on_tip @ np.linalg.inv(frame.on_object)
     motion = state.objects[objects[0].tip]
-    motion.position[:], motion.quaternion_xyzw[:] = origin, matrix_to_quaternion(R)
+    motion.position[:], motion.quaternion_xyzw[:] = X_WO[:3, 3], matrix_to_quaternion(X_WO[:3, :3])
     return state
 
 

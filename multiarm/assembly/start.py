@@ -214,10 +214,16 @@ def project_start(data: Data, scene: Scene, state: State) -> tuple[State, StartR
         place_state(data, 0.0, state)
         return assemble(data, scene, described)
     except SceneError as error:
+        remedy = "`system.initial_state()` satisfies the joints; begin near it"
+        if any(joint.intervals for joint in scene.joints):
+            remedy = (
+                "`system.initial_state()` satisfies the joints that hold at t = 0; begin then, or "
+                "with the state of a run at this time"
+            )
         raise ModelError(
             f"{described} cannot be the beginning of a run:\n"
             + "\n".join(f"  {fault}" for fault in error.faults)
-            + "\n`system.initial_state()` satisfies the joints; begin near it"
+            + f"\n{remedy}"
         ) from error
 
 

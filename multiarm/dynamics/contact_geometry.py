@@ -228,12 +228,12 @@ def relative_motion(model: Model, state: State, connection: str) -> RelativeMoti
         raise ModelError(f"unknown {noun} {connection!r}; {noun}s are {known}")
     pair = model.connections[connection]
     (X_WB, twist_B), (X_WA, twist_A) = (
-        _pose_and_twist(model, state, body) for body in (pair.second, pair.first)
+        pose_and_twist(model, state, body) for body in (pair.second, pair.first)
     )
     return seen_from_object(X_WB, twist_B, X_WA, twist_A)
 
 
-def _pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndarray, np.ndarray]:
+def pose_and_twist(model: Model, state: State, body: BodyName) -> tuple[np.ndarray, np.ndarray]:
     """Pose (4, 4) and twist (6,) of a body's frame, of a link that of its tip, world axes."""
     X, twist = np.eye(4), np.zeros(6)
     if body.is_object:

@@ -297,6 +297,7 @@ def error_estimate(method, step, h, floor):
         if a != a or b != b:
             return math.nan
         first, second = max(first, a), max(second, b)
-    if method.error.shape[0] == 1 or first == 0.0:
+    # the squares of errors below 1e-162, of a mechanism that is locked, are zero
+    if method.error.shape[0] == 1 or first * first == 0.0:
         return first
     return first * first / math.sqrt(first * first + 0.01 * second * second)

@@ -5,6 +5,7 @@ Parts that are not valid by themselves are left out, so that one error has all f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,7 +30,7 @@ from multiarm.scene.resolution import Examination, resting_warning
 from multiarm.scene.robot_spec import RobotSpec, examine_robot
 from multiarm.scene.run import RunSpec
 from multiarm.scene.spec import Spec
-from multiarm.scene.timed_joints import late_joints, touching_faults
+from multiarm.scene.timed_joints import idle_joints, touching_faults
 from multiarm.scene.trunks import (
     ArmGroup,
     arm_groups,
@@ -297,9 +298,10 @@ def _check_times(parts: ValidParts, known: KnownRobots, findings: Findings) -> N
     floors = [floor_owner(name, known.objects) for name in bodies]
     for where, text in touching_faults(parts.timed, known.connections, floors):
         findings.add_fault(where, text)
-    if parts.run is None or "duration" not in parts.run.model_fields_set:
-        return
-    for where, text in late_joints(parts.timed, parts.run.duration):
+    duration = math.inf  # where none is written
+    if parts.run is not None and "duration" in parts.run.model_fields_set:
+        duration = parts.run.duration
+    for where, text in idle_joints(parts.timed, duration):
         findings.add_warning(where, text)
 
 

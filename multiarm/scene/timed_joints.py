@@ -56,17 +56,28 @@ def names(name: str, owner: str) -> bool:
     return name == owner or name.startswith(f"{owner}/")
 
 
-def late_joints(joints: Mapping[int, Joint], duration: float) -> Faults:
-    """Warnings of joints that never hold within a run of some duration [s]."""
+def idle_joints(joints: Mapping[int, Joint], duration: float) -> Faults:
+    """Warnings of joints that never hold within a run from 0 s on, of some duration [s]."""
     for number, joint in joints.items():
-        begins = [interval.begin for interval in joint.intervals]
-        times = [begin for begin in begins if isinstance(begin, float) and begin < math.inf]
-        if times and len(times) == len(begins) and min(times) >= duration:
+        begins, ends = zip(*joint.intervals, strict=True)
+        ended = [t for t in ends if isinstance(t, float) and t <= 0.0]
+        late = [t for t in begins if isinstance(t, float) and duration <= t < math.inf]
+        if len(ended) + len(late) < len(joint.intervals):
+            continue
+        if late:
             yield (
                 ("joints", number, "from"),
-                f"{min(times):g} s is not before the end of the run at {duration:g} s, so that the "
+                f"{min(late):g} s is not before the end of the run at {duration:g} s, so that the "
                 "joint never holds; correct either, or write 'never' and let a command join it",
             )
+            continue
+        last = max(ended)
+        where = next(where for where, moment in joint.moments.items() if moment == last)
+        yield (
+            ("joints", number, *where),
+            f"{last:g} s is not after the beginning of the run at 0 s, so that the joint never "
+            "holds; correct it, or write 'from: never' alone and let a command join it",
+        )
 
 
 def times_in_words(joint: Joint) -> str:

@@ -55,6 +55,7 @@ from multiarm.results.event_kinds import EventKind
 from multiarm.results.event_log import RunEvent
 from multiarm.results.outcome import RunStatus
 from multiarm.scene import RunSpec
+from multiarm.scene.faults import listed
 from multiarm.simulation.event_handling import EventHandler
 from multiarm.simulation.guard_log import log_reports
 from multiarm.simulation.setup import Run, Task, control_end
@@ -248,14 +249,27 @@ class Driver:
         if interrupted:
             return Ending(End.INTERRUPTED, f"stopped by the user {where}")
         if returned.reason not in GOES_ON:
-            return failure_of(run, returned.reason)
+            ending = failure_of(run, returned.reason)
+            if returned.reason != STEP_TOO_SMALL:
+                return ending
+            return ending._replace(message=ending.message + self._lost_grips())
         if returned.event_fault:
             return Ending(End.UNDECIDED, f"{where}: {returned.event_fault}")
         if run.clock.evaluations > most_evaluations:
             return Ending(End.STALLED, f"{where}: {TOO_MANY}")
         if stall := self._pace.stall(run, self.event_stops):
-            return Ending(End.STALLED, f"{where}: {stall.message}")
+            return Ending(End.STALLED, f"{where}: {stall.message}{self._lost_grips()}")
         return None
+
+    def _lost_grips(self) -> str:
+        """For messages on short steps: joints that the control counts on, with open contacts."""
+        names = () if self.events is None else self.events.lost_grips
+        if not names:
+            return ""
+        return (
+            f"; the control carries the weight by {listed(names)}, all of whose contacts are open: "
+            "let that joint let go (`until`), or leave the gravity compensation out"
+        )
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 
 from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
+from multiarm.dynamics.arrays import CARRYING
 from multiarm.dynamics.callbacks import ControlCallback
 from multiarm.dynamics.coordinates import chart_places, load_chart
 from multiarm.dynamics.data import Data
@@ -129,6 +130,20 @@ class EventHandler:
         # of the last one: its end, the length of its steps, and how long it was
         self._phase_end, self._phase_length, self._phase_time = -np.inf, np.inf, 0.0
 
+    @property
+    def lost_grips(self) -> tuple[str, ...]:
+        """Joints all of whose contacts are open, which laws of control take for closed."""
+        modes, model = self.modes, self.modes.full.model
+        if model.constants.control_reach < CARRYING:
+            return ()
+        seen = {*modes.unilateral.rows_held_by(modes.holding, modes.unilateral.of_laws)}
+        pairs = zip(modes.unilateral.constraints, modes.mode.states, strict=True)
+        states: dict[str, set[ContactState]] = {}
+        for constraint, state in pairs:
+            if constraint.row in seen:
+                states.setdefault(constraint.owner, set()).add(state)
+        return tuple(name for name, of_joint in states.items() if of_joint == {ContactState.OPEN})
+
     # --- beginning --------------------------------------------------------------------------------
 
     def begin(self, time: float, start: State, given: bool) -> tuple[Data, State | None]:
@@ -162,7 +177,9 @@ class EventHandler:
         self._log_decision(time, decision, Mode((), ()))
         if decision.undecided:
             raise SolverError(f"at the start: {decision.undecided.message}")
-        changed = decision.hits or given or jams
+        # the scene's start is that of the joints that hold at 0 s
+        elsewhere = schedule.holding != self.modes.unilateral.holding_at(0.0)
+        changed = decision.hits or given or jams or elsewhere
         return self.modes.data, self.modes.data.get_state() if changed else None
 
     def _jams(self, decision: Decision) -> bool:

@@ -35,7 +35,7 @@ from multiarm.results.event_log import Event, timed
 from multiarm.scene.bodies import BodyName
 from multiarm.viewer.animation import Body, ContactTracks, EventPlace
 from multiarm.viewer.body_poses import BodyPoses, pose_at, positions_at
-from multiarm.viewer.joints_in_time import PlacedJoints, holding
+from multiarm.viewer.joints_in_time import PlacedJoints, holding, places_on_second
 from multiarm.viewer.solids import revolve
 
 if TYPE_CHECKING:
@@ -187,6 +187,10 @@ def surface_bodies(
             continue
         name, sides = joint.connection, {"arm": joint.first, "object": joint.second}
         moved = {side: placed(poses.of(body)) for side, body in sides.items()}
+        if joint.intervals:  # it takes hold where its bodies are
+            written, time = system.frames[name].on_object, trajectory.time[poses.rows]
+            places = places_on_second(trajectory, joint, written, time)
+            moved["object"] = placed(poses.of(joint.second) @ places @ np.linalg.inv(written))
         records = [record for record in system.contacts[name] if isinstance(record, Contact)]
         touched = _touched(system, name, sides)
         states = row_states(trajectory, name, records, poses.rows)

@@ -6,20 +6,22 @@ Oracle: what holds without knowing the motion: energy, momentum and closed gaps.
 from __future__ import annotations
 
 import pytest
-from random_schedules import FAMILIES, SWITCH, draw, judge
+from random_schedules import FAMILIES, draw, judge
 
-ACCURACY, GAP = 1e-4, 1e-12
-# Of 1,000 such scenes the energy rose by 1e-6 at the most, and the momentum changed by 1e-7.
-RISE, MOMENTUM = 1e-5, 1e-6
+ACCURACY = 1e-4
 
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_random_schedule_gains_no_energy_and_keeps_what_holds_closed(family, seed):
     verdict = judge(draw(family, seed), ACCURACY)
-    assert verdict.end != "failed", verdict.message
-    assert verdict.gained <= SWITCH
-    assert verdict.driven or verdict.risen < RISE
+    assert verdict.faults(ACCURACY) == []
     assert verdict.unbalanced < ACCURACY
-    assert verdict.gap < GAP
-    assert verdict.momentum < MOMENTUM
+
+
+@pytest.mark.slow
+def test_a_run_whose_control_counts_on_open_contacts_says_so():
+    """Gravity compensation throws the box: it carries it with contacts that have opened."""
+    verdict = judge(draw("pads", 23), ACCURACY)
+    assert verdict.end == "lost grip", verdict.message
+    assert "by 'left', 'right'," in verdict.message

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from event_scenes import arm
 from object_scenes import ASIDE
+from refusals import refused
 from scipy.integrate import solve_ivp
 from timed_scenes import (
     ABOUT_PIVOT,
     AFTER,
     BOB,
+    EXACT,
     FALL,
     LENGTH,
     at_event,
@@ -24,6 +26,10 @@ from timed_scenes import (
     simulate,
     switches,
 )
+
+import multiarm as ma
+from multiarm.errors import ModelError
+from multiarm.scene import parse_scene
 
 SAME, MOMENTUM, GAP = 1e-10, 1e-12, 1e-12
 
@@ -62,6 +68,25 @@ def test_arms_that_couple_lose_the_energy_of_their_reduced_mass():
     np.testing.assert_allclose(trajectory.effect_works["impacts"][-1], -lost, rtol=SAME)
     places = trajectory.joint_positions["two"][:, 0]
     np.testing.assert_allclose(places[-1], -0.7 * begin + speed * (end - begin), atol=SAME)
+
+
+def test_a_run_that_begins_while_a_joint_holds_begins_with_their_common_speed():
+    """From the scene's start, which is that of the joints that hold at 0 s."""
+    rails = {
+        "one": {"mass": 2.0, "velocity": 1.1, "x": 0.0},
+        "two": {"mass": 1.3, "velocity": -0.7, "x": 1.0, "joint": {"from": 0.1}},
+    }
+    system = ma.compile_system(parse_scene(carts(1.1, rails)))
+    run = ma.simulate(system, 0.2, start_time=0.3, **EXACT)
+    assert run.status == "completed", run.message
+    speed, _, _ = couple((5.0, 1.3), (1.1, -0.7))
+    for name in ("one", "two"):
+        np.testing.assert_allclose(run.joint_velocities[name][[0, -1], 0], speed, rtol=SAME)
+    assert not switches(run)
+    rails["two"]["joint"]["at"] = {"xyz": [0.5, 0.0, 0.0]}  # half a metre off
+    system = ma.compile_system(parse_scene(carts(1.1, rails)))
+    with refused(ModelError, "joint of arm 'two'", "t = 0"):
+        ma.simulate(system, 0.2, start_time=0.3, **EXACT)
 
 
 @pytest.mark.parametrize("kind", ["weld", "ball"])

@@ -194,6 +194,25 @@ def test_springs_in_place_of_contacts_are_refused():
         ma.compile_system(scene)
 
 
+@pytest.mark.parametrize(
+    ("times", "place"),
+    [
+        ({"until": 0}, "until"),
+        ({"from": -2, "until": -1}, "until"),
+        ({"from": [[-2, -1], [-0.5, 0]]}, "from[1][1]"),
+        ({"from": {"touching": "floor"}, "until": 0}, "until"),
+    ],
+)
+def test_a_joint_that_ends_before_the_run_is_warned_of(times, place):
+    scene = parse_scene(two_arms({"floor": {}}, **times))
+    assert any(line.startswith(f"$.joints[1].{place}: ") for line in scene.warnings)
+
+
+def test_a_joint_that_holds_for_a_part_of_the_run_is_not_warned_of():
+    for times in ({"until": 1e-3}, {"from": [[-2, 0], [3, "never"]]}, {"from": -1, "until": 1}):
+        assert parse_scene(two_arms(**times)).warnings == []
+
+
 def test_a_joint_that_begins_after_the_run_is_warned_of():
     late = parse_scene({**two_arms(**from_([[2, 3], [4, 5]])), "run": {"duration": 2}})
     assert any(line.startswith("$.joints[1].from: 2 s") for line in late.warnings)

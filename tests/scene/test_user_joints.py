@@ -34,6 +34,7 @@ from multiarm.scene import (
     parse_scene,
 )
 from multiarm.simulation.inspection import inspect_system
+from multiarm.spatial import matrix_to_quaternion
 from multiarm.sweeps.executors import run_here, run_in_processes
 from multiarm.sweeps.plan import make_plan
 from multiarm.sweeps.run import Context
@@ -503,6 +504,19 @@ def test_motions_that_a_kind_calls_free_are_those_that_its_contacts_leave(free):
     joint_of(Hitch.records, free=free)
     with refused(ma.MultiarmError, "joint of arm 'left'"):
         ma.compile_system(scene_of({"kind": "odd"}))
+
+
+def test_free_motions_of_a_joint_that_takes_hold_later_are_those_where_it_closes():
+    """A point on the side of a ball, which is above it at the start."""
+    on_ball = Contact("side", point([0.1, 0, 0]), sphere([0, 0, 0], 0.1))
+    joint_of(lambda self: [on_ball], free=(1, 2, 3, 4, 5))
+    weld = {"kind": "weld"}
+    at = ma.compile_system(ur5_pair(weld, weld)).frames["right"].on_object.copy()
+    at[:3, 3] += at[:3, :3] @ [0.1, 0.0, -0.4]
+    place = {"xyz": at[:3, 3], "quaternion_xyzw": matrix_to_quaternion(at[:3, :3])}
+    later = {"kind": "odd", "at": place, "from": 1.0}
+    system = ma.compile_system(ur5_pair(weld, later))
+    assert system.frames["right"].free == (1, 2, 3, 4, 5)
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from multiarm.integration.step import coefficients, error_estimate, make_step
 from multiarm.jit.kernels import greatest
 from multiarm.problems import ring_of_arms
 from multiarm.results.trajectory import load_trajectory
-from multiarm.tableaus import DOPRI5
+from multiarm.tableaus import DOP853, DOPRI5
 
 
 def shifted(scene, by):
@@ -99,6 +99,15 @@ def test_a_step_with_a_nan_has_no_error_estimate(at):
     # without its Python entry the kernel is tried as Python
     found = error_estimate.py_func(coefficients(DOPRI5, 0), step, 0.1, 0.0)
     assert math.isnan(found)
+
+
+def test_errors_whose_squares_are_zero_are_small():
+    """Of a locked mechanism, whose rates shrink by roundings: no error is 0 / 0."""
+    layout = Layout(("arm",), (0, 2), (0, 2), ("arm",), (0, 0), (0,))
+    step = make_step(DOP853, layout, np.zeros(0, dtype=np.int64))
+    step.k[:] = 1e-200 * np.arange(step.k.size).reshape(step.k.shape)
+    found = error_estimate.py_func(coefficients(DOP853, 0), step, 0.1, 1e-13)
+    assert 0.0 < found < 1e-180
 
 
 @pytest.mark.parametrize(("duration", "waypoint"), [(0.1 + 0.2, 0.3), (0.3, 1e-20), (0.3, 0.3)])

@@ -89,3 +89,16 @@ def test_events_flash_where_joints_take_hold(animation):
     places = {round(event.time, 6): event.where for event in animation.event_places}
     assert sorted(places) == [0.1, 0.2, 0.4, 0.5]
     np.testing.assert_allclose(places[0.4], [SPEED * 0.4, 0, 0.1], atol=1e-8)
+
+
+def test_surfaces_are_shown_where_their_joint_has_taken_hold():
+    """The plane on the box, which the hand slides along, is moved as far as the hand was."""
+    run = sliding_hand(kind="point_on_plane")
+    animation = animation_of(run)
+    (plane,) = [body for body in animation.bodies if body.name == "surfaces/right/1_object"]
+    for begin, end in ((0.1, 0.2), (0.4, 0.5)):
+        frames = (animation.time > begin + 1e-6) & (animation.time < end - 1e-6)
+        place = [SPEED * begin, 0, 0.1]
+        np.testing.assert_allclose(
+            plane.position[frames], np.tile(place, (frames.sum(), 1)), atol=1e-8
+        )
