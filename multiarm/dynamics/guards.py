@@ -27,7 +27,7 @@ from multiarm.dynamics.guard_functions import (
     is_force_function,
 )
 from multiarm.dynamics.solver.bounds import LEAST_ACCELERATION
-from multiarm.jit.kernels import greatest, inlined, kernel, larger
+from multiarm.jit.kernels import copy, greatest, inlined, kernel, larger, plain
 from multiarm.jit.structs import WIDTH, Floats1, Ints1, struct_of, view
 
 # Result of a guard for a step: no event, a sign change, perhaps two sign changes.
@@ -76,7 +76,10 @@ class Guards(NamedTuple):
     records: Ints1  # struct of what the functions depend on, one record after the other
     held: Ints1  # number of every row among the held ones; -1: not held
     slides: Ints1  # number of every constraint among those that slide
-    scales: Floats1  # (SCALES,) what thresholds are parts of
+    # (SCALES,) what thresholds are parts of: of all steps that were accepted, and with the forces at
+    # the state evaluated last
+    scales: Floats1
+    scales_now: Floats1
     kind: Ints1  # number of the function among all kinds
     place: Ints1  # of the guard's record among all
     sign: Ints1
@@ -96,7 +99,7 @@ class Guards(NamedTuple):
     result: Ints1  # for the last step
 
 
-SHARED = ("records", "held", "slides", "scales")
+SHARED = ("records", "held", "slides", "scales", "scales_now")
 """Those of a table's arrays that have no entry for every guard."""
 open_guards = view(Guards)
 
@@ -115,6 +118,7 @@ def make_guards(
         held=np.array(held, dtype=np.int64),
         slides=np.array(slides, dtype=np.int64),
         scales=np.eye(SCALES)[UNIT],
+        scales_now=np.eye(SCALES)[UNIT],
         kind=np.array([KINDS.index(type(guard.function)) for guard in guards], dtype=np.int64),
         place=first.astype(np.int64),
         **{n: np.array([getattr(guard, n) for guard in guards], dtype=np.int64) for n in integers},
@@ -135,8 +139,9 @@ def reset_guards(guards: Guards) -> None:
 
 def forget_forces(guards: Guards) -> None:
     """Let thresholds be parts of the forces from now on."""
-    guards.scales[:] = 0.0
-    guards.scales[UNIT] = 1.0
+    for scales in (guards.scales, guards.scales_now):
+        scales[:] = 0.0
+        scales[UNIT] = 1.0
 
 
 def turn_round(guards: Guards, g: int) -> None:
@@ -148,19 +153,21 @@ def turn_round(guards: Guards, g: int) -> None:
 
 
 @inlined
-def follow_scales(scales, data):
-    """Let the scales grow with the forces at the state evaluated last.
+def follow_scales(scales, now, data):
+    """Write what the scales are with the forces at the state evaluated last.
 
     They are at least what gives any object the acceleration ``LEAST_ACCELERATION``.  Forces that
-    are not finite, of a state that cannot be evaluated, have no part in them.
+    are not finite, of a state that cannot be evaluated, have no part in them.  Those of modes that
+    are only tried, and of steps that are not accepted, are forgotten: they may be of any size.
     """
+    copy(scales, now)
     forces = greatest(data.rows.force)
     for at in range(0, data.forces.f_o.size, 6):
         forces = larger(forces, LEAST_ACCELERATION * data.bodies.object_inertia[at, at])
         forces = larger(forces, greatest(data.forces.f_o[at : at + 3]))
     if forces < math.inf:
-        scales[FORCES] = max(scales[FORCES], forces)
-        scales[JOINT_FORCES] = max(scales[JOINT_FORCES], forces, greatest(data.forces.f_j))
+        now[FORCES] = max(scales[FORCES], forces)
+        now[JOINT_FORCES] = max(scales[JOINT_FORCES], forces, greatest(data.forces.f_j))
 
 
 @kernel
@@ -169,12 +176,12 @@ def write_values(guards, struct, data, model, full):
 
     ``model`` and ``full`` are those of the system with all rows, with their kinematics.
     """
-    follow_scales(guards.scales, data)
+    follow_scales(guards.scales, guards.scales_now, data)
     for g in range(guards.kind.size):
         sign = guards.sign[g]
         value, course, rate = guard_function(guards, g, struct, data, model, full)
         guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
-        guards.level[g] = guards.threshold[g] * guards.scales[guards.scale[g]]
+        guards.level[g] = guards.threshold[g] * guards.scales_now[guards.scale[g]]
 
 
 # --- steps ----------------------------------------------------------------------------------------
@@ -241,6 +248,12 @@ def dips(p, m, q, n, h):
         return False
     lowest = p + x * (m + x * (b + x * a))
     return lowest < NEAR_ZERO * min(p, q)
+
+
+@plain
+def remember_scales(guards):
+    """Remember the forces at the state evaluated last: a run has come there."""
+    copy(guards.scales_now, guards.scales)
 
 
 @kernel

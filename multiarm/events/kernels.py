@@ -27,6 +27,7 @@ from multiarm.dynamics.guards import (
     count_events,
     judge_guards,
     open_guards,
+    remember_scales,
     write_values,
 )
 from multiarm.dynamics.residuals import imbalance
@@ -304,6 +305,7 @@ def accept_mode_step(address, size, _a, _b):
     """Make the end of a step that has been checked the beginning of the next one."""
     of_mode = referenced(open_data(struct_at(address, size)).modes.mode)
     open_mode(of_mode).numbers.muted = False
+    remember_scales(open_guards(of_mode))
     begin_mode_step(of_mode)
     return OK
 

@@ -26,7 +26,7 @@ from multiarm.dynamics.coordinates import (
     write_new_chart,
 )
 from multiarm.dynamics.equations import evaluate_state, finite
-from multiarm.dynamics.guards import accept_guards, begin_stages
+from multiarm.dynamics.guards import accept_guards, begin_stages, remember_scales
 from multiarm.dynamics.solver_monitor import accept_solution
 from multiarm.dynamics.status import (
     BLOCK_FULL,
@@ -394,7 +394,9 @@ def write_step_end(struct, model, data):
 @kernel
 def accept_step_end(struct, data):
     """Remember this step as the last one, and begin the guards that report at its end."""
-    accept_guards(open_reports(struct))
+    reports = open_reports(struct)
+    remember_scales(reports)
+    accept_guards(reports)
     accept_solution(data)
     for i in range(data.search.points.shape[0]):
         copy(data.this_step.points[i], data.last_step.points[i])

@@ -24,7 +24,7 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
 from multiarm.dynamics.guard_functions import JointSpeed, PatchDepth, PushingForce, Slip
-from multiarm.dynamics.guards import Guard
+from multiarm.dynamics.guards import Guard, remember_scales
 from multiarm.dynamics.state import State
 from multiarm.dynamics.status import OK
 from multiarm.errors import MultiarmError, SolverError
@@ -111,7 +111,7 @@ class EventHandler:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
         else:
-            slow = 1000.0 * tolerance.position
+            slow = float(__import__("os").environ.get("SLOWF", "0.1")) * tolerance.position
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
@@ -512,6 +512,7 @@ class EventHandler:
     def arm(self, run: Run) -> None:
         """Start the guards at the state in the data, which has been evaluated."""
         require_ok(run.data, start_guards(run.data.struct))
+        remember_scales(self.modes.guards)
         run.solver_log.reset(run.data)
         control = run.data.callbacks.get("control")
         if isinstance(control, ControlCallback):
