@@ -71,6 +71,8 @@ ACCUMULATED, ACCUMULATION = 20, 1e-3
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
+# Slips slower than this part of the tolerance are smoothed: they are as small as its errors.
+SMOOTHED = 0.1
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
@@ -111,7 +113,7 @@ class EventHandler:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
         else:
-            slow = float(__import__("os").environ.get("SLOWF", "0.1")) * tolerance.position
+            slow = SMOOTHED * tolerance.position
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
