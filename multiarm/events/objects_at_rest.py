@@ -22,6 +22,7 @@ from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, NO_ACCELERATION, UNMOVED
 from multiarm.dynamics.solver.dense import null_space
+from multiarm.events.mode_guards import SPEED_THRESHOLD
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.scene.bodies import WORLD
@@ -47,6 +48,7 @@ class RestDetector:
         self._modes, self._dynamics = modes, RowDynamics(modes)
         self._objects = modes.full.model.layout.objects
         self._bodies, self._floor = _bodies_of_rows(modes.full.model)
+        self._slow = max(SPEED_THRESHOLD, 0.01 * modes.slow)  # as of a slip that has come to rest
         self._enforced = modes.unilateral.enforced
         effects = modes.full.model.effects.called
         self._steady = all(effect.local and effect.name != WRENCHES for effect in effects)
@@ -54,13 +56,19 @@ class RestDetector:
     def supports(self) -> dict[str, tuple[str, ...]]:
         """What each object at rest lies on: other objects, ``floor``, or ``world``."""
         data = self._modes.data
+        velocity = data.arrays.state.velocity
+        speeds = np.abs(self._modes.full.model.layout.twists(velocity)).max(axis=1)  # [m/s, rad/s]
+        slow = speeds <= self._slow
+        if not np.any(slow):
+            return {}
         touching = np.any(self._bodies[data.rows] >= 0, axis=1)
         rows, bodies = data.rows[touching], self._bodies[data.rows[touching]]
         if not np.any(bodies == AT_REST):
             return {}
         rests = self._held(data.arrays.rows.W_o[touching], bodies)
+        rests &= {*np.flatnonzero(slow).tolist()}
         if self._steady:
-            rests |= self._in_balance(bodies, rests)
+            rests |= self._in_balance(speeds, bodies, rests)
         return _below(self._objects, self._neighbours(rests, rows, bodies))
 
     def _held(self, W_o: np.ndarray, bodies: np.ndarray) -> set[int]:
@@ -74,10 +82,9 @@ class RestDetector:
         moves = np.max(np.abs(free), axis=1, initial=0.0).reshape(-1, TWIST)
         return set(np.flatnonzero(np.all(moves < UNMOVED, axis=1)).tolist())
 
-    def _in_balance(self, bodies: np.ndarray, held: Set[int]) -> set[int]:
+    def _in_balance(self, speeds: np.ndarray, bodies: np.ndarray, held: Set[int]) -> set[int]:
         """Further objects that neither move nor are accelerated, nor touch what may move."""
         arrays, layout = self._modes.data.arrays, self._modes.full.model.layout
-        speeds = np.abs(layout.twists(arrays.state.velocity)).max(axis=1)
         accelerations = np.abs(layout.twists(arrays.accelerations.a)).max(axis=1)
         still = (speeds <= self._dynamics.rest_rate) & (accelerations <= NO_ACCELERATION)
         rests = {o for o in np.flatnonzero(still).tolist() if o not in held and o in bodies}

@@ -30,7 +30,7 @@ from multiarm.results.event_kinds import EventKind
 
 Event = dict[str, Any]
 """An event of a result, see above."""
-ALWAYS_LISTED = (EventKind.ATTACHED, EventKind.DETACHED)
+ALWAYS_LISTED = (EventKind.ATTACHED, EventKind.DETACHED, EventKind.AT_REST)
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
 CLAUSE_SEPARATOR = "; "
@@ -190,7 +190,7 @@ class EventLog:
     Attributes
     ----------
     listed : list of RunEvent
-        The first ``MOST_LISTED``, and all that tell when joints hold.
+        The first ``MOST_LISTED``, and all that tell when joints hold and objects rest.
     dropped : Counter
         How many more there were, by kind and arm ("" for events of no arm).
     """

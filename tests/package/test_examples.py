@@ -422,6 +422,37 @@ def test_a_flat_pyramid_is_not_picked_up(printed):
 
 
 @pytest.mark.slow
+def test_fingers_regrasp_a_prism_in_form_closure(printed):
+    text = printed("27_finger_gaiting.py")
+    rows = re.findall(rf"({NUMBER}) to ({NUMBER}) s, (\w+) +away: closure margin ({NUMBER})", text)
+    away = [who for _, _, who, _ in rows if who != "none"]
+    assert away == [f"{face}_{side}" for face in "abc" for side in ("left", "right")]
+    assert [who for _, _, who, _ in rows[::2]] == 7 * ["none"]
+    assert all(float(margin) > 0.04 for *_, margin in rows)
+    # nobody pulls; those that take hold begin with no force
+    assert "pulled" not in text
+    assert min(least for (least,) in figures("pushes of# N or more", text)) > -0.005
+    ((gap,),) = figures("largest gap# m", text)
+    assert gap < 1e-12
+    ((begin, end),) = figures("the prism turned from# to# degrees", text)
+    assert (begin, end) == pytest.approx((-30.0, 30.0), abs=0.01) and "\nmet: " in text
+
+
+def test_the_table_of_the_fingers_is_the_one_that_the_example_writes():
+    example = runpy.run_path(str(ROOT / "examples" / "27_finger_gaiting.py"))
+    written = np.loadtxt(SCENES / "finger_gaiting.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(written, example["table"](), atol=2e-7)
+    scene = ma.load_scene(SCENES / "finger_gaiting.yaml")
+    for k, joint in enumerate(scene.joints[:6]):
+        away = [
+            example["FIRST"] + k * example["LOADED"] + example[s] for s in ("UNLOADED", "HOLDS")
+        ]
+        (_, lets_go), (takes_hold, _) = ((i.begin, i.end) for i in joint.intervals)
+        assert [lets_go, takes_hold] == pytest.approx(away, abs=1e-9)
+    assert scene.run.duration == pytest.approx(example["END"], abs=1e-9)
+
+
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_print_what_it_says(workshop, capsys):
     match = re.search(r"^```python\n(.*?)^```\n\s*^```text\n(.*?)^```$", README, re.M | re.S)
     assert match is not None, "the README shows Python and right below what it prints"
