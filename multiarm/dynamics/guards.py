@@ -76,7 +76,7 @@ class Guards(NamedTuple):
     records: Ints1  # struct of what the functions depend on, one record after the other
     held: Ints1  # number of every row among the held ones; -1: not held
     slides: Ints1  # number of every constraint among those that slide
-    # (SCALES,) what thresholds are parts of: of all accepted steps, and with the state evaluated last
+    # (SCALES,) what thresholds are parts of: of accepted steps, and with the state evaluated last
     scales: Floats1
     scales_now: Floats1
     kind: Ints1  # number of the function among all kinds
