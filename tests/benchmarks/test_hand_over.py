@@ -15,11 +15,23 @@ STEPS = (2e-3, 1e-3)
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory):
-    """Figures of both programs, by program and step."""
+def system(tmp_path_factory):
     table = tmp_path_factory.mktemp("hand_over") / "references.csv"
-    system = ma.compile_system(parse_scene(hand_over.scene(table)))
+    return ma.compile_system(parse_scene(hand_over.scene(table)))
+
+
+@pytest.fixture(scope="module")
+def rows(system):
+    """Figures of both programs, by program and step."""
     return {(row["program"], row["step"]): row for row in hand_over.compare(system, STEPS, 1)}
+
+
+def test_the_certificate_is_met_and_not_below_the_error(system, rows):
+    run = ma.simulate(system, accuracy=hand_over.ACCURACY)
+    ours = rows[hand_over.OURS, None]
+    assert run.certificate["met"]
+    assert ours["error_m"] < run.certificate["estimated_error"]["position_m"]
+    assert ours["error_rad"] < run.certificate["estimated_error"]["rotation_rad"]
 
 
 def test_ours_has_its_accuracy_and_no_gaps(rows):
