@@ -233,9 +233,10 @@ def test_a_body_that_is_not_convex_is_refused():
 
 def test_arms_that_do_not_fit_are_refused(block, tmp_path):
     table = tmp_path / "references.csv"
-    for arms, options in ((["ur5"], {}), (["ur5", "ur5"], {"mass": 60.0})):
-        with refused(GraspError):
-            block.to_scene(arms, table=table, **options)
+    with refused(GraspError):
+        block.to_scene(["ur5"], table=table)
+    with pytest.raises(GraspError, match="_joint"):  # which one is too weak depends on the plan
+        block.to_scene(["ur5", "ur5"], table=table, mass=60.0)
     assert not table.exists()
 
 
