@@ -34,6 +34,8 @@ MOST_CHOICES, DRAWN, PLACES = 1000, 128, 256
 # The cheapest placements that are judged in all phases, of one choice at most; the best that are
 # improved, and moves that are tried on each.
 JUDGED, OF_ONE_CHOICE, IMPROVED, MOVES = 100, 4, 3, 100
+# Moves make a placement cheaper by this factor at most, as a rule.
+PROMISING = 2.0
 # Parts of the size of the body by which contacts are moved at first, and at last.
 FIRST_MOVE, LAST_MOVE = 0.1, 0.005
 # Placements that are drawn together: memory stays small.
@@ -137,6 +139,8 @@ class ContactSearch:
         self.choices, self.middle, self.size = choices, middle, size
         self.loads, self.least, self.spacing = loads, least, spacing
         self.judge, self.most, self.impossible, self.rng = judge, most, impossible, rng
+        # what can be improved enough; from what cannot be, anything may follow
+        self.within = np.inf if most >= impossible else PROMISING * most
 
     def best(self) -> Placement | None:
         """The cheapest placement that was found."""
@@ -147,7 +151,8 @@ class ContactSearch:
             if placement is not None:
                 judged.append(placement)
                 judged.sort(key=lambda placement: placement.cost)
-        improved = [self._improved(placement) for placement in judged[:IMPROVED]]
+        promising = [placement for placement in judged[:IMPROVED] if placement.cost < self.within]
+        improved = [self._improved(placement) for placement in promising]
         best = min(improved, key=lambda placement: placement.cost, default=None)
         return best if best is not None and best.cost < self.most else None
 

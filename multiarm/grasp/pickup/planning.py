@@ -40,8 +40,9 @@ from multiarm.grasp.pickup.phases import (
 from multiarm.grasp.pickup.plan import PickupPlan
 from multiarm.grasp.pickup.tilting import UP, all_pushes, carried, floor_contacts, weakest_force
 
-# Part of the size of a body that a gripper's contacts keep within, by default.
-GRIPPER_SIZE = 0.4
+# Parts of the size of a body that a gripper's contacts keep within, by default: the first with
+# which all choices of faces can be looked at.
+GRIPPER_SIZES = (0.4, 0.3, 0.2, 0.15)
 # A body is tilted no farther than this where that is enough [rad].
 USUAL_TILT = np.radians(30.0)
 # Contacts of the two grippers, and those on the face that the body lies on, at most: three fix the
@@ -56,7 +57,7 @@ LARGEST = 10.0
 ONLY_BY_WEIGHT = 2.0
 CHEAPER = "it takes larger forces, or a larger tilt"
 # Parts of the angle at which equilibrium is looked at, by the search and in the plan.
-JUDGED, SAMPLES = (0.0, 0.5, 1.0), (0.0, 0.25, 0.5, 0.75, 1.0)
+JUDGED, SAMPLES = (0.0, 1.0), (0.0, 0.25, 0.5, 0.75, 1.0)
 # Smallest singular value of scaled wrenches that hold a body.
 FULL_RANK = 1e-3
 
@@ -81,7 +82,7 @@ def plan_pickup(
         On which it lies, by number or name; left out: the one that looks down most steeply.
     gripper_size : float, optional
         All contacts of a gripper are within this distance of a corner of the body [m]; left out:
-        two fifths of the size of the body.
+        two fifths of the size of the body, less where it has very many faces.
     finger : float
         Height above the floor that a contact needs [m].
     tip_radius : float
@@ -99,12 +100,16 @@ def plan_pickup(
         Unusable numbers; a body that is not convex, or does not lie on the face.
     """
     body = as_polyhedron(body)
-    size = GRIPPER_SIZE * body.size if gripper_size is None else gripper_size
-    lengths = {"finger": finger, "tip_radius": tip_radius, "least": least, "gripper_size": size}
+    sizes = (
+        tuple(part * body.size for part in GRIPPER_SIZES)
+        if gripper_size is None
+        else (gripper_size,)
+    )
+    lengths = {"finger": finger, "tip_radius": tip_radius, "least": least, "gripper_size": sizes[0]}
     for name, value in lengths.items():
         number_of(value, f"{name} is greater than 0", above=0.0)
     planner = _Planner(
-        lying(body, face), size, finger, tip_radius, least, np.random.default_rng(rng)
+        lying(body, face), sizes, finger, tip_radius, least, np.random.default_rng(rng)
     )
     return planner.plan()
 
@@ -123,14 +128,14 @@ class _Planner:
     def __init__(
         self,
         lies: LyingBody,
-        gripper_size: float,
+        gripper_sizes: tuple[float, ...],
         finger: float,
         tip_radius: float,
         least: float,
         rng: np.random.Generator,
     ) -> None:
         self.lies, self.body = lies, lies.body
-        self.gripper_size, self.finger, self.tip_radius = gripper_size, finger, tip_radius
+        self.gripper_sizes, self.finger, self.tip_radius = gripper_sizes, finger, tip_radius
         self.least, self.rng = least, rng
         self.free = self._parts([STILL])
         self.most = LARGEST
@@ -167,9 +172,11 @@ class _Planner:
             return obstacle
         usual = min(USUAL_TILT, edge.limit)
         outcome = self._placement_at(edge, usual)
-        if isinstance(outcome, PickupRefusal) and usual < edge.limit and self.most == LARGEST:
-            return self._placement_at(edge, edge.limit)
-        return outcome
+        if isinstance(outcome, Placement) or usual == edge.limit:
+            return outcome
+        if self.most < LARGEST:  # a larger tilt would not be cheaper
+            return PickupRefusal(edge, CHEAPER)
+        return self._placement_at(edge, edge.limit)
 
     def _obstacle(self, edge: PivotEdge) -> PickupRefusal | None:
         """Why no pushes carry the body with the floor at an edge alone, with proof."""
@@ -227,7 +234,7 @@ class _Planner:
         if not len(choices):
             return PickupRefusal(
                 edge,
-                f"no two grippers of {self.gripper_size:.3g} m reach faces that close it, each "
+                f"no two grippers of {self.gripper_sizes[0]:.3g} m reach faces that close it, each "
                 "from one side; choose larger ones",
             )
         motions = [STILL] if edge is None else [STILL, edge.turned(limit)]
@@ -245,7 +252,7 @@ class _Planner:
             rng=self.rng,
         )
         best = search.best()
-        if best is not None:
+        if best is not None and self._holds(edge, best):
             return best
         reason = (
             CHEAPER
@@ -255,16 +262,26 @@ class _Planner:
         )
         return PickupRefusal(edge, reason)
 
+    def _holds(self, edge: PivotEdge | None, placement: Placement) -> bool:
+        """Whether contacts hold the body in all phases, at more angles than the search looks at."""
+        try:
+            self._phases(edge, placement.contacts, placement.faces, SAMPLES)
+        except _NotHeldError:
+            return False
+        return True
+
     def _choices(self, edge: PivotEdge | None, parts: dict[int, np.ndarray]) -> FaceChoices:
         """Choices of faces of which some contacts are on the face that is freed."""
-        regions = touch_regions(
-            self.body,
-            self.body.vertices,
-            self.gripper_size,
-            clearance=self.tip_radius,
-            faces=parts,
-        )
-        choices = face_choices(regions, FINGERS)
+        for size in self.gripper_sizes:
+            regions = touch_regions(
+                self.body, self.body.vertices, size, clearance=self.tip_radius, faces=parts
+            )
+            try:
+                choices = face_choices(regions, FINGERS)
+                break
+            except GraspError:  # there are too many
+                if size == self.gripper_sizes[-1]:
+                    raise
         below = np.array([region.face == self.lies.face for region in choices.regions], dtype=int)
         counts = below[choices.numbers].sum(axis=1)
         usable = (counts >= (edge is not None)) & (counts <= MOST_BELOW)
