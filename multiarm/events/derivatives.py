@@ -19,6 +19,7 @@ from multiarm.events.evaluation import (
     unique_forces,
     with_contradictions,
 )
+from multiarm.events.taking_hold import HeldJoints
 
 
 def derivatives(
@@ -63,11 +64,23 @@ def derivatives(
     """
     system = require_system(system, "ma.derivatives(system, t, state)")
     t, state = require_time(t), system.checked(state)
+    return derivatives_while(None, system, t, state, closed_loop, parameters)
+
+
+def derivatives_while(
+    held: HeldJoints | None,
+    system: System,
+    t: float,
+    state: State,
+    closed_loop: bool = True,
+    parameters: bool = False,
+) -> Derivatives:
+    """:func:`derivatives` while some timed joints hold; None: as their times say."""
     with system.borrow() as data:
         if data.model.unilateral is None:
             evaluated = evaluation.evaluate(data, t, state)
             return differentiate(data, evaluated, closed_loop, parameters)
-        modes = enter_mode_at(data, t, state)
+        modes = enter_mode_at(data, t, state, held)
         if not modes.data.arrays.solution.motion_unique:
             raise SolverError(
                 "derivatives: forces of contacts that slide with friction leave the motion open at "

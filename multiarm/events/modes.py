@@ -26,6 +26,7 @@ from multiarm.dynamics.variables import ModeStructs
 from multiarm.events.joint_places import (
     frame_motions,
     place_joint,
+    place_joint_at,
     place_on_second,
     with_own_places,
 )
@@ -191,13 +192,18 @@ class Modes:
             self._laws[holding] = self.full.view(self.full.model.of_laws(holding))
         return self._laws[holding]
 
-    def place(self, timed: int, as_written: bool = False) -> None:
+    def place(self, timed: int, as_written: bool = False, pose: np.ndarray | None = None) -> None:
         """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
 
-        Only joints that are ``located`` are placed; rows that have been selected stay as they were.
+        With a ``pose`` (4, 4), as :meth:`pose_of` has it, there.  Only joints that are ``located``
+        are placed; rows that have been selected stay as they were.
         """
         self._stale = True
-        place_joint(self.full, self._written, self.unilateral.timed[timed], as_written)
+        joint = self.unilateral.timed[timed]
+        if pose is None:
+            place_joint(self.full, self._written, joint, as_written)
+        else:
+            place_joint_at(self.full, self._written, joint, pose)
         of_laws = [
             (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
             for holding, data in self._laws.items()
@@ -217,12 +223,15 @@ class Modes:
         name = self.unilateral.timed[timed].connection
         return tuple(frame_motions(self.full, self.full.model, name)[0].origin.tolist())
 
+    def pose_of(self, timed: int) -> np.ndarray:
+        """Where a timed joint is on its second body, (4, 4)."""
+        return place_on_second(self.full, self._written, self.unilateral.timed[timed])
+
     def place_of(self, timed: int) -> tuple[float, ...] | None:
         """Where a joint that is ``located`` is on its second body: position, quaternion xyzw."""
-        joint = self.unilateral.timed[timed]
-        if not joint.located:
+        if not self.unilateral.timed[timed].located:
             return None
-        pose = place_on_second(self.full, self._written, joint)
+        pose = self.pose_of(timed)
         return (*pose[:3, 3].tolist(), *matrix_to_quaternion(pose[:3, :3]).tolist())
 
     # --- the mode that has been entered -----------------------------------------------------------
