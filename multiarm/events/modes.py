@@ -98,6 +98,8 @@ class Modes:
         if any(joint.located for joint in unilateral.timed):
             full = with_own_places(full)
         self.full, self.unilateral, self.slow = full, unilateral, slow
+        # of timed joints: where they have been placed, None as written
+        self._poses: dict[int, np.ndarray | None] = dict.fromkeys(range(len(unilateral.timed)))
         self.closed = full.closed
         self.holding: frozenset[int] = frozenset()
         self.idle = unilateral.idle_without(self.holding)
@@ -199,6 +201,9 @@ class Modes:
         are placed; rows that have been selected stay as they were.
         """
         self._stale = True
+        self._poses[timed] = pose
+        if pose is None and not as_written:
+            del self._poses[timed]
         joint = self.unilateral.timed[timed]
         if pose is None:
             place_joint(self.full, self._written, joint, as_written)
@@ -222,6 +227,10 @@ class Modes:
         """Where the frame of a timed joint is on its first body, world [m]."""
         name = self.unilateral.timed[timed].connection
         return tuple(frame_motions(self.full, self.full.model, name)[0].origin.tolist())
+
+    def is_placed(self, timed: int, pose: np.ndarray | None) -> bool:
+        """Whether a timed joint has been placed at a pose, or None: is as written."""
+        return timed in self._poses and self._poses[timed] is pose
 
     def pose_of(self, timed: int) -> np.ndarray:
         """Where a timed joint is on its second body, (4, 4)."""

@@ -183,11 +183,14 @@ class HeldJoints(NamedTuple):
 
 def hold_placed(modes: Modes, held: HeldJoints) -> None:
     """Let timed joints hold from now on, without an impact; those without a place as written."""
-    located = [k for k, joint in enumerate(modes.unilateral.timed) if joint.located]
-    if located:
+    poses = {
+        k: held.places.get(k) for k, joint in enumerate(modes.unilateral.timed) if joint.located
+    }
+    elsewhere = {k: pose for k, pose in poses.items() if not modes.is_placed(k, pose)}
+    if elsewhere:
         modes.hold(frozenset())  # rows are selected anew where they have been placed
-    for k in located:
-        modes.place(k, as_written=True, pose=held.places.get(k))
+    for k, pose in elsewhere.items():
+        modes.place(k, as_written=pose is None, pose=pose)
     modes.hold(held.joints)
 
 

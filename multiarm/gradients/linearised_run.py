@@ -407,22 +407,20 @@ class LinearisedRun:
         A[:states, :states], B[:states] = state_matrices(D)
         for k, parameter in enumerate(self.parameters):
             along_joints, offset[:states, k] = parameter.at(t, state, D.motions, phase)
-            beta[:states, k] = self._at_state(along_joints, A[:states, :states], offset[:states, k])
-        along_joints, place_offset = phase.responses(t, state, D.motions, self._gap_roundings)
-        by_place = self._at_state(along_joints, A[:states, :states], place_offset)
-        A[:states, states : states + phase.size] = by_place
+            at_state = along_joints - A[:states, :states] @ offset[:states, k]
+            beta[:states, k] = np.where(self._accelerations, at_state, 0.0)
+        by_place, place_offset = phase.responses(
+            t, state, D.motions, A[:states, :states], self._gap_roundings
+        )
+        A[:states, states : states + phase.size] = np.where(
+            self._accelerations[:, None], by_place, 0.0
+        )
         rate = 0.0
         if self._integrand is not None:
             rate, slope[:states] = self._integrand(t, state)
         scale = np.zeros((size, count))
         scale[:states] = self._scale(D.evaluation.accelerations)
         return VariationalEquation(A, B, beta, D.motions, offset, slope, rate, scale, place_offset)
-
-    def _at_state(self, along: np.ndarray, A: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Changes of the rate at the state itself, from those along states that follow joints."""
-        change = along - A @ offset
-        change[~self._accelerations] = 0.0
-        return change
 
     def _scale(self, accelerations: np.ndarray) -> np.ndarray:
         """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""

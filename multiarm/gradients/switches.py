@@ -132,10 +132,15 @@ class Phase:
         return None if self.joints is None else HeldJoints(self.joints, {})
 
     def responses(
-        self, t: float, state: State, motions: Motions, roundings: float
+        self, t: float, state: State, motions: Motions, A: np.ndarray, roundings: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rates of a state, and how it follows the joints, by the coordinates of places, (D, r)."""
-        return np.zeros((2 * state.layout.nv, 0)), np.zeros((2 * state.layout.nv, 0))
+        """By the coordinates of places: of the rate at a state, and of it as it follows the joints.
+
+        Shapes (D, r); ``A`` are the rate's derivatives by the state, gaps that are ``roundings``
+        [m] do not count.
+        """
+        nothing = np.zeros((2 * state.layout.nv, 0))
+        return nothing, nothing
 
 
 class Switched(Phase):
@@ -251,18 +256,27 @@ class Switched(Phase):
     # --- derivatives ------------------------------------------------------------------------------
 
     def responses(
-        self, t: float, state: State, motions: Motions, roundings: float
+        self, t: float, state: State, motions: Motions, A: np.ndarray, roundings: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Rates of a state, and how it follows the joints, by the coordinates of places, (D, r)."""
-        both = np.zeros((2, 2 * state.layout.nv, self.size))
-        for r, unit in enumerate(np.eye(self.size)):
+        """See :meth:`Phase.responses`."""
+        columns, weights = [], np.array(CENTRAL_4.weights) / PART
+        closing = closing_of(motions) if motions.independent and self.size else None
+        for unit in np.eye(self.size):
             nearby = [
                 Nearby(self._system, self.held(self._system, offset * PART * unit))
                 for offset in CENTRAL_4.offsets
             ]
-            weights = np.array(CENTRAL_4.weights) / PART
-            both[:, :, r] = response(nearby, weights, t, state, motions, roundings)
-        return both[0], both[1]
+            if closing is None:
+                along, offset = response(nearby, weights, t, state, motions, roundings)
+                columns.append((along - A @ offset, offset))
+                continue
+            # there are accelerations off the joints, too
+            results = [evaluated(system, t, state, held) for system, held in nearby]
+            change = np.zeros(len(A))
+            change[state.layout.velocity_columns] = weights @ [rates for rates, _ in results]
+            columns.append((change, -closing @ (weights @ [gaps for _, gaps in results])))
+        by_place, offsets = np.reshape(columns, (self.size, 2, len(A))).transpose(1, 2, 0)
+        return by_place, offsets
 
     @cached_property
     def _motions(self) -> Motions:

@@ -43,7 +43,7 @@ from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.sensitivity import Derivatives, Motions
-from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, SYSTEM_TOLERANCE
 from multiarm.dynamics.solver.dense import reciprocal_lengths
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
@@ -306,7 +306,9 @@ def closing_of(motions: Motions) -> np.ndarray:
     """The least displacements that change gaps and gap rates by one, (D, K + N)."""
     C = motions.constraint
     scale = reciprocal_lengths(np.linalg.norm(C, axis=1))
-    return np.linalg.pinv(scale[:, None] * C, SYSTEM_TOLERANCE) * scale
+    # the rank is that of the displacements that keep the joints closed
+    tolerance = SYSTEM_TOLERANCE if motions.independent else COUPLED_RANK_TOLERANCE
+    return np.linalg.pinv(scale[:, None] * C, tolerance) * scale
 
 
 def evaluated(
