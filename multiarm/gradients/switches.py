@@ -76,13 +76,15 @@ from multiarm.scene.joints.times import When
 
 # Newton steps, at most, that put a nearby state on the joints.
 NEWTON_STEPS = 8
+# Displacements of nearby motions, in differences of order four [m, rad, m/s, rad/s].
+NEARBY = 1e-4
 # Displacement of differences of a user's function [m, rad, s].
 DISPLACEMENT = 1e-4
 # Places that change by less than this part of the displacement do not depend on it.
 SAME_PLACE = 1e-8
 # A function whose rate is this part of its terms, or less, does not pass through zero.
 GRAZES = 1e-8
-# States that are put on the joints have roundings [m, rad, m/s], relative to their changes 1e-3.
+# What is left of states that are put on the joints [m, rad, m/s, rad/s].
 ROUNDINGS = 1e-9
 
 
@@ -259,11 +261,11 @@ class Switched(Phase):
         self, t: float, state: State, motions: Motions, A: np.ndarray, roundings: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Phase.responses`."""
-        columns, weights = [], np.array(CENTRAL_4.weights) / PART
+        columns, weights = [], np.array(CENTRAL_4.weights) / NEARBY
         closing = closing_of(motions) if motions.independent and self.size else None
         for unit in np.eye(self.size):
             nearby = [
-                Nearby(self._system, self.held(self._system, offset * PART * unit))
+                Nearby(self._system, self.held(self._system, offset * NEARBY * unit))
                 for offset in CENTRAL_4.offsets
             ]
             if closing is None:
@@ -302,10 +304,10 @@ class Switched(Phase):
         by_state, by_place = [], []
         for unit in np.eye(count):
             nearby = [
-                self._crossed(self._system, offset * PART * unit) for offset in CENTRAL_4.offsets
+                self._crossed(self._system, offset * NEARBY * unit) for offset in CENTRAL_4.offsets
             ]
-            by_state.append(self._difference(nearby, PART))
-            weights = np.array(CENTRAL_4.weights) / PART
+            by_state.append(self._difference(nearby, NEARBY))
+            weights = np.array(CENTRAL_4.weights) / NEARBY
             by_place.append(weights @ [self._moved_places(motion) for motion in nearby])
         return np.array(by_state).T, np.array(by_place).T
 
