@@ -32,7 +32,7 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
 from multiarm.gradients.segments import SHORTEST, Panel
-from multiarm.gradients.switches import Phase, Switched, phases, switch_events
+from multiarm.gradients.switches import SOON, Phase, Switched, phases, switch_events
 from multiarm.gradients.variational_equation import displaced
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
@@ -49,10 +49,6 @@ SHARP, MOST_PANELS = 1e3, 500
 # Accuracy of the comparison run, as part of the run's.  Runs with less than the second have the
 # smallest tolerances already, and their comparison runs err ten times as much.
 SHARPER, SHARPEST = 0.1, 100.0 * SMALLEST_TOLERANCE
-
-
-# Samples that are later by less count as those at a switch: near it are parts 1e-9 of a step [s].
-SOON = 1e-8
 
 
 class TimedState(NamedTuple):

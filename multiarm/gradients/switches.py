@@ -78,6 +78,9 @@ from multiarm.scene.joints.times import When
 NEWTON_STEPS = 8
 # Displacements of nearby motions, in differences of order four [m, rad, m/s, rad/s].
 NEARBY = 1e-4
+# Switches that are nearer to each other count as one [s]; so do samples to a switch, as those that
+# are nearer than a part 1e-9 of a step are written before it.
+SOON = 1e-8
 # Displacement of differences of a user's function [m, rad, s].
 DISPLACEMENT = 1e-4
 # Places that change by less than this part of the displacement do not depend on it.
@@ -548,11 +551,12 @@ def phases(
             moments.append((k, which))
             functions.append(moment.when if isinstance(moment, When) else None)
             joints = joints | {k} if attaches else joints - {k}
-        if any(function is not functions[0] for function in functions):
+        if any(function is not functions[0] for function in functions) or t < found[-1].time + SOON:
+            near_events = [event for event in events if abs(event["time"] - t) < SOON]
             raise SolverError(
-                f"derivatives of a run: {', '.join(event['text'] for event in group)} at the same "
-                f"time {t:.9g} s for different reasons, and which comes first in nearby motions is "
-                "open; let them be apart, or name the same function"
+                f"derivatives of a run: at t = {t:.9g} s joints take hold or let go for different "
+                f"reasons ({', '.join(event['text'] for event in near_events)}), and which comes "
+                "first in nearby motions is open; let them be apart, or name the same function"
             )
         near = like[len(found)] if like else None
         assert near is None or isinstance(near, Switched)
@@ -579,11 +583,7 @@ def _moment(joint: TimedJoint, passed: int, attaches: bool, t: float) -> int:
         if not ended and (not isinstance(moment, float) or abs(moment - t) <= now - t):
             return which
         which += 2
-    raise SolverError(
-        f"derivatives of a run: joint '{joint.connection}' switches at "
-        f"t = {t:.9g} s by a command, on which the motion depends in an unknown way; write its "
-        "time in the scene"
-    )
+    raise AssertionError("without a controller that commands, joints switch at their moments")
 
 
 def _placed(modes: Modes, t: float, state: State, held: HeldJoints) -> Modes:

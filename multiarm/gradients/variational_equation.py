@@ -290,13 +290,10 @@ def response(
     fastest = max(1.0, np.abs(state.velocity).max())
     if np.ptp(gaps, axis=0).max(initial=0.0) > roundings * fastest:
         closing = closing_of(motions)
-        for _ in range(NEWTON_STEPS):
-            moves -= gaps @ closing.T
-            results = [
-                evaluated(system, t, displaced(state, move), held, path)
-                for (system, held), move in zip(nearby, moves, strict=True)
-            ]
-            gaps = np.array([residuals for _, residuals in results])
+        for k, (system, held) in enumerate(nearby):
+            for _ in range(NEWTON_STEPS):
+                moves[k] -= closing @ results[k][1]
+                results[k] = evaluated(system, t, displaced(state, moves[k]), held, path)
     rate = np.zeros(2 * state.layout.nv)
     rate[state.layout.velocity_columns] = weights @ [changes for changes, _ in results]
     return rate, weights @ moves

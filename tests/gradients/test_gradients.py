@@ -40,6 +40,7 @@ from multiarm.gradients.run_series import RunSeries
 from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, CollocatedPanel, Panel, Segment
 from multiarm.gradients.sensitivities import _ForwardSolver
 from multiarm.gradients.sensitivities import _solved_with_error as _forward
+from multiarm.gradients.switches import Phase
 from multiarm.gradients.variational_equation import (
     Parameter,
     VariationalEquation,
@@ -434,10 +435,10 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
     system = ma.compile_system(scene)
     jumped = ma.compile_system(scene.replace({path: value_at(scene, path) + change}))
     parameter = Parameter(system, "object.mass")
-    parameter._systems[2:] = [jumped, jumped]
+    parameter.systems[2:] = [jumped, jumped]
     for state in (None, system.initial_state()):
         with refused(SceneError, "object.mass"):
-            parameter.of_start(0.0, state)
+            parameter.of_start(0.0, state, Phase(None))
 
 
 PLACE_OF_A_JOINT = "joints[1].at.xyz[2]"
@@ -459,10 +460,10 @@ def test_which_numbers_move_the_joints_does_not_depend_on_what_was_evaluated_bef
     system = ma.compile_system(pair_with_written_joints())
     parameter, state = Parameter(system, PLACE_OF_A_JOINT), system.initial_state()
     motions = ma.derivatives(system, 0.0, state).motions
-    _, expected = parameter.at(0.0, state, motions)
+    _, expected = parameter.at(0.0, state, motions, Phase(None))
     assert np.abs(expected).max() > 0.1
     ma.evaluate(system, 0.0, system.state(object_position=[1e13, 0.0, 0.0]))
-    _, offset = parameter.at(0.0, state, motions)
+    _, offset = parameter.at(0.0, state, motions, Phase(None))
     np.testing.assert_array_equal(offset, expected)
 
 
