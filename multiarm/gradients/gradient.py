@@ -212,7 +212,8 @@ def gradient(
     parameters : sequence of str, or mapping str -> float or None
         Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
-        number itself).
+        number itself).  Times at which joints take hold or let go are numbers, too:
+        ``"joints[1].from"``, ``"joints[0].until"``, ``"joints[2].from[0][1]"``.
     accuracy : float, optional
         Of the run [m, rad], and relative error of its derivatives along it, but not below 1e-8; the
         scene's when left out.  The run is not certified; what its error changes is in ``error``.
@@ -232,7 +233,8 @@ def gradient(
         When a parameter is no number of the scene, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
-        constraints changes, the control is sampled; or when it fails.
+        constraints changes, joints take hold or let go at the same time for different reasons, the
+        control is sampled; or when it fails.
     """
     system = require_system(system, "ma.gradient(system, duration)")
     start = None if state is None else system.checked(state)

@@ -73,6 +73,7 @@ from multiarm.results.trajectory import Trajectory
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place
 from multiarm.scene.joints.times import When
+from multiarm.simulation.setup import positive
 
 # Newton steps, at most, that put a nearby state on the joints.
 NEWTON_STEPS = 8
@@ -468,8 +469,9 @@ class SwitchTime:
         connection = system.scene.joints[int(number)].connection
         names = [] if unilateral is None else [joint.connection for joint in unilateral.timed]
         which = 2 * int(pair[0]) + int(pair[1]) if pair else int(key == "until")
+        size = abs(value) or 1.0 if size is None else size
         self.path, self.moment = path, (names.index(connection), which)
-        self.size = abs(value) or 1.0 if size is None else size
+        self.size = positive(f"parameters[{path!r}]", size)
         self._value, self._states = value, 2 * system.model.layout.nv
 
     def of_start(self, t: float, state: State | None, phase: Phase) -> np.ndarray:

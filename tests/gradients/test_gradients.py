@@ -206,8 +206,9 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
         A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
         beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
         return VariationalEquation(
-            A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1))
-        )
+            A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1)),
+            np.zeros((2, 0)),
+        )  # fmt: skip
 
     class Free:
         """All displacements of one coordinate and its rate are free."""

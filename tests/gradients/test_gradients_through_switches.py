@@ -19,7 +19,7 @@ from timed_scenes import FALL, Table, carts, last_state, objects_on_rails, pendu
 
 import multiarm as ma
 from multiarm.errors import SceneError, SolverError
-from multiarm.gradients.variational_equation import displaced, displacement
+from multiarm.gradients.variational_equation import closing_of, displaced, displacement
 from multiarm.scene import parse_scene
 from multiarm.scene.changes import value_at
 
@@ -194,8 +194,20 @@ def test_a_joint_that_repeats_others():
     """An arm of one hinge about the pivot welds to the pendulum: five rows are redundant."""
     catcher = arm("Y", velocity=[1.5], mass=1.0, inertia=0.3)
     joint = {"arm": "catcher", "name": "grip", "kind": "weld", "from": 0.2}
-    paths = ["joints[1].from"]
-    check(pendulum(0.7, -0.4, {"catcher": catcher}, [joint]), 0.5, paths)
+    check(pendulum(0.7, -0.4, {"catcher": catcher}, [joint]), 0.5, ["joints[1].from"])
+
+
+def test_states_follow_redundant_joints_whatever_their_roundings():
+    """Rows that repeat others but for roundings of the state ask for no motion of their own."""
+    rider = {"rider": arm("Y", velocity=[-0.4], mass=1.0, inertia=0.3)}
+    table = pendulum(0.7, -0.4, rider, [{"arm": "rider", "kind": "weld"}])
+    system = ma.compile_system(parse_scene(table))
+    state = system.initial_state()
+    exact = closing_of(ma.derivatives(system, 0.0, state).motions)
+    rounding = 1e-11 * np.random.default_rng(2).standard_normal(len(exact))
+    rounded = closing_of(ma.derivatives(system, 0.0, displaced(state, rounding)).motions)
+    assert not ma.derivatives(system).motions.independent
+    np.testing.assert_allclose(rounded, exact, atol=1e-8 * np.abs(exact).max())
 
 
 def test_a_joint_whose_frames_meet():
@@ -285,6 +297,14 @@ def test_a_function_that_grazes_zero():
     """The third power of what passes through zero; the run finds its root all the same."""
     table = handed_over(b={"from": {"when": lambda t, state: (0.3 - t) ** 3}})
     refuse(table, 0.4, "'b' takes hold")
+
+
+def test_a_joint_that_takes_hold_when_a_contact_closes():
+    joint = {"between": ["object", "world"], "name": "catch", "kind": "weld",
+             "from": {"touching": "floor"}}  # fmt: skip
+    table = {"gravity": [0, 0, -9.81], "object": ball(height=0.02), "joints": [joint],
+             "robots": ASIDE, "effects": {"floor": {}}}  # fmt: skip
+    refuse(table, 0.2, "touches")
 
 
 def test_contacts_that_are_closed():
