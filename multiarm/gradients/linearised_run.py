@@ -36,11 +36,11 @@ from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives_while
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.run_series import ComparisonRun, RunSeries
 from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
 from multiarm.gradients.switches import (
     Jump,
-    Phase,
     Switched,
     SwitchTime,
     first_phase,

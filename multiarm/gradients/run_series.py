@@ -31,8 +31,9 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.segments import SHORTEST, Panel
-from multiarm.gradients.switches import SOON, Phase, Switched, phases, switch_events
+from multiarm.gradients.switches import SOON, Switched, phases, switch_events
 from multiarm.gradients.variational_equation import displaced
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory

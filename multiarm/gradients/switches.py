@@ -54,6 +54,7 @@ from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.events.taking_hold import HeldJoints, hold_placed, switch_everywhere
 from multiarm.geometry.stencils import CENTRAL_4
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.variational_equation import (
     PART,
     Nearby,
@@ -110,43 +111,6 @@ class Jump(NamedTuple):
 
     by_state: np.ndarray
     by_parameters: np.ndarray
-
-
-class Phase:
-    """What timed joints do between two switches, first from the start of a run on.
-
-    Attributes
-    ----------
-    time : float
-        Of the switch at its beginning [s].
-    size : int
-        How many coordinates the places of joints have.
-    joints : frozenset of int or None
-        Timed joints that hold; None: the system has none.
-    """
-
-    time, size = -math.inf, 0
-
-    def __init__(self, joints: frozenset[int] | None) -> None:
-        self.joints = joints
-
-    def held(self, system: System, places: np.ndarray | None = None) -> HeldJoints | None:
-        """What timed joints hold in a system, itself or with another number, in a nearby motion.
-
-        ``places`` (size,) says which one; None: the run's.
-        """
-        return None if self.joints is None else HeldJoints(self.joints, {})
-
-    def responses(
-        self, t: float, state: State, motions: Motions, A: np.ndarray, roundings: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """By the coordinates of places: of the rate at a state, and of it as it follows the joints.
-
-        Shapes (D, r); ``A`` are the rate's derivatives by the state, gaps that are ``roundings``
-        [m] do not count.
-        """
-        nothing = np.zeros((2 * state.layout.nv, 0))
-        return nothing, nothing
 
 
 class Switched(Phase):

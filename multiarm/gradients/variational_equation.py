@@ -29,7 +29,7 @@ where an arm is singular they have no derivative off them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,13 +52,11 @@ from multiarm.events.evaluation import enter_mode_at, evaluate
 from multiarm.events.taking_hold import HeldJoints
 from multiarm.geometry.screws import skew
 from multiarm.geometry.stencils import CENTRAL_4
+from multiarm.gradients.phase import Phase
 from multiarm.jit.rows import fields_of
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
 from multiarm.simulation.setup import positive
-
-if TYPE_CHECKING:
-    from multiarm.gradients.switches import Phase
 
 # Displacement of a difference, as part of the size of a number of the scene; numbers below the
 # second may be roundings of zero, and have the size 1.

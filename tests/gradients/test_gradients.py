@@ -36,11 +36,11 @@ from multiarm.gradients.gradient import _AdjointSolver
 from multiarm.gradients.gradient import _solved_with_error as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.linearised_run import LinearisedRun
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.run_series import RunSeries
 from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, CollocatedPanel, Panel, Segment
 from multiarm.gradients.sensitivities import _ForwardSolver
 from multiarm.gradients.sensitivities import _solved_with_error as _forward
-from multiarm.gradients.switches import Phase
 from multiarm.gradients.variational_equation import (
     Parameter,
     VariationalEquation,
