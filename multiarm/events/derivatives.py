@@ -19,6 +19,7 @@ from multiarm.events.evaluation import (
     unique_forces,
     with_contradictions,
 )
+from multiarm.events.taking_hold import HeldJoints
 
 
 def derivatives(
@@ -63,25 +64,37 @@ def derivatives(
     """
     system = require_system(system, "ma.derivatives(system, t, state)")
     t, state = require_time(t), system.checked(state)
+    return derivatives_while(None, system, t, state, closed_loop, parameters)
+
+
+def derivatives_while(
+    held: HeldJoints | None,
+    system: System,
+    t: float,
+    state: State,
+    closed_loop: bool = True,
+    parameters: bool = False,
+) -> Derivatives:
+    """:func:`derivatives` while some timed joints hold; None: as their times say."""
     with system.borrow() as data:
         if data.model.unilateral is None:
             evaluated = evaluation.evaluate(data, t, state)
             return differentiate(data, evaluated, closed_loop, parameters)
-        modes = enter_mode_at(data, t, state)
+        modes = enter_mode_at(data, t, state, held)
+        evaluated = evaluation.evaluate(modes.data, t, state)
         if not modes.data.arrays.solution.motion_unique:
             raise SolverError(
                 "derivatives: forces of contacts that slide with friction leave the motion open at "
                 "this state; leave out contacts that others make redundant, or friction"
             )
-        evaluated = evaluation.evaluate(modes.data, t, state)
         evaluated = replace(evaluated, _unique=partial(unique_forces, modes))
         of_held_rows = differentiate(modes.data, evaluated, closed_loop, parameters)
         layout, states = data.model.layout, len(of_held_rows.effect_state_rates.matrix)
         rows = rows_of(layout, states)
         matrix = np.zeros((rows["effect_state_rates"].stop, of_held_rows.matrix.shape[1]))
         forces = rows["contact_forces"].start
-        held = np.r_[:forces, forces + modes.data.rows, rows["effect_state_rates"]]
-        matrix[held] = of_held_rows.matrix
+        solved = np.r_[:forces, forces + modes.data.rows, rows["effect_state_rates"]]
+        matrix[solved] = of_held_rows.matrix
         if modes.slides.row.size:
             friction = differentiate_friction(modes.data, modes.slides, of_held_rows)
             for k in range(2):

@@ -39,8 +39,9 @@ from multiarm.dynamics.system import System, require_system, require_time
 from multiarm.errors import SolverError
 from multiarm.events.consistent_mode import enter_consistent_mode
 from multiarm.events.event_detection import touching_constraints
+from multiarm.events.mode import Mode
 from multiarm.events.modes import Modes
-from multiarm.events.taking_hold import hold_at
+from multiarm.events.taking_hold import HeldJoints, hold_at, hold_placed
 from multiarm.events.transition import Participants, Transition
 
 # Speed below which the direction of slip is smoothed [m/s].
@@ -89,10 +90,20 @@ def evaluate_data(data: Data, t: float, state: State) -> Evaluation:
     return with_contradictions(modes, evaluate_mode(modes, t, state))
 
 
-def enter_mode_at(data: Data, t: float, state: State) -> Modes:
-    """The modes of a Data, with that of a state entered and evaluated there."""
+def enter_mode_at(data: Data, t: float, state: State, held: HeldJoints | None = None) -> Modes:
+    """The modes of a Data, with that of a state entered and evaluated there.
+
+    ``held``: what its timed joints hold; None: as their times say.  Where nothing else opens or
+    slides, the mode is not evaluated then.
+    """
     modes = modes_of(data, SLOW)
-    hold_at(modes, t, state, modes.unilateral.holding_at(t))
+    if held is None:
+        hold_at(modes, t, state, modes.unilateral.holding_at(t))
+    else:
+        hold_placed(modes, held)
+        if not modes.unilateral.constraints:
+            modes.enter(Mode((), (), holding=modes.holding))
+            return modes
     touching, off_patch, _ = touching_constraints(modes, t, state)
     participants = Participants(touching, off_patch=off_patch)
     forget_forces(modes.guards)

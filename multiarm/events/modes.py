@@ -187,16 +187,20 @@ class Modes:
             self._laws[holding] = self.full.view(self.full.model.of_laws(holding))
         return self._laws[holding]
 
-    def place(self, timed: int, as_written: bool = False) -> None:
+    def place(self, timed: int, as_written: bool = False, pose: np.ndarray | None = None) -> None:
         """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
 
-        Only joints that are ``located`` are placed; rows that have been selected stay as they were.
+        With a ``pose`` (4, 4), as :meth:`pose_of` has it, there.  Only joints that are ``located``
+        are placed; rows that have been selected stay as they were.
         """
         self._stale = True
-        if as_written:
-            self._places[timed].return_to_scene()
+        place = self._places[timed]
+        if pose is not None:
+            place.pose = pose
+        elif as_written:
+            place.return_to_scene()
         else:
-            self._places[timed].take_hold()
+            place.take_hold()
         of_laws = [
             (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
             for holding, data in self._laws.items()
@@ -219,11 +223,19 @@ class Modes:
         name = self.unilateral.timed[timed].connection
         return tuple(frame_motion(self.full, name, second=False).origin.tolist())
 
+    def is_placed(self, timed: int, pose: np.ndarray | None) -> bool:
+        """Whether a joint that is ``located`` has been placed at a pose, or None: is as written."""
+        return self._places[timed].given is pose
+
+    def pose_of(self, timed: int) -> np.ndarray:
+        """Where a joint that is ``located`` is on its second body, (4, 4)."""
+        return self._places[timed].pose
+
     def place_of(self, timed: int) -> tuple[float, ...] | None:
         """Where a joint that is ``located`` is on its second body: position, quaternion xyzw."""
         if timed not in self._places:
             return None
-        pose = self._places[timed].pose
+        pose = self.pose_of(timed)
         return (*pose[:3, 3].tolist(), *matrix_to_quaternion(pose[:3, :3]).tolist())
 
     # --- the mode that has been entered -----------------------------------------------------------

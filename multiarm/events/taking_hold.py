@@ -121,9 +121,17 @@ def switch_joints(
     SolverError
         When bodies are too far apart, or move too fast, for one that takes hold.
     """
+    for k in sorted(holding - modes.holding):
+        require_reach(modes, k)
+    return switch_everywhere(modes, holding, awaited)
+
+
+def switch_everywhere(
+    modes: Modes, holding: frozenset[int], awaited: frozenset[MomentNumber] = frozenset()
+) -> Switch:
+    """:func:`switch_joints`, however far apart the bodies are and however fast they move."""
     full, taking, letting = modes.full, holding - modes.holding, modes.holding - holding
     for k in sorted(taking):
-        require_reach(modes, k)
         if modes.unilateral.timed[k].located:
             modes.place(k)
         # its coordinates are counted from the turn in which it takes hold
@@ -170,6 +178,26 @@ def require_reach(modes: Modes, timed: int) -> None:
             f"{who} would take hold across {gap:.3g} m, more than {LARGEST_GAP:g} m; bring its "
             "bodies together before, or leave 'at' out, so that it holds them where they are"
         )
+
+
+class HeldJoints(NamedTuple):
+    """Which timed joints hold, and where those are that have taken hold within a run."""
+
+    joints: frozenset[int]
+    places: Mapping[int, np.ndarray]  # poses (4, 4) on their second bodies
+
+
+def hold_placed(modes: Modes, held: HeldJoints) -> None:
+    """Let timed joints hold from now on, without an impact; those without a place as written."""
+    poses = {
+        k: held.places.get(k) for k, joint in enumerate(modes.unilateral.timed) if joint.located
+    }
+    elsewhere = {k: pose for k, pose in poses.items() if not modes.is_placed(k, pose)}
+    if elsewhere:
+        modes.hold(frozenset())  # rows are selected anew where they have been placed
+    for k, pose in elsewhere.items():
+        modes.place(k, as_written=pose is None, pose=pose)
+    modes.hold(held.joints)
 
 
 def hold_at(

@@ -7,6 +7,10 @@ For :math:`J = \Phi(x(T)) + \int \ell(t, x)\,dt` along the run, and its variatio
     -\dot\mu = A^T \mu + \nabla\ell, \qquad \mu(T) = \nabla\Phi, \qquad
     dJ = \mu(0)\cdot\delta(0) + \int \mu^T (B\,\delta\tau + \beta\,\delta p)\,dt .
 
+Where timed joints take hold or let go, :math:`\delta^+ = J\delta + j\,\delta p`
+(:mod:`multiarm.gradients.switches`), :math:`\mu = J^T\mu^+`, and dJ has the further term
+:math:`\mu^+\cdot j\,\delta p`.
+
 So one solution, backward in time, gives the derivatives by the whole start, by any number of
 parameters, and by torques at all times, whose density is :math:`B^T\mu`.
 """
@@ -39,6 +43,7 @@ from multiarm.gradients.segments import (
     Panel,
     Segment,
 )
+from multiarm.gradients.switches import Jump
 from multiarm.gradients.variational_equation import TINY, displaced
 from multiarm.public import facts_html, public_names
 from multiarm.results.trajectory import Trajectory
@@ -207,7 +212,8 @@ def gradient(
     parameters : sequence of str, or mapping str -> float or None
         Paths of numbers of the scene, such as ``"object.mass"``, ``"control.stiffness.left"``; in a
         mapping with a change that is no longer small, of which a thousandth is tried (None: the
-        number itself).
+        number itself).  Times at which joints take hold or let go are numbers, too:
+        ``"joints[1].from"``, ``"joints[0].until"``, ``"joints[2].from[0][1]"``.
     accuracy : float, optional
         Of the run [m, rad], and relative error of its derivatives along it, but not below 1e-8; the
         scene's when left out.  The run is not certified; what its error changes is in ``error``.
@@ -227,7 +233,8 @@ def gradient(
         When a parameter is no number of the scene, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
-        constraints changes, the control is sampled; or when it fails.
+        constraints changes, joints take hold or let go at the same time for different reasons, the
+        control is sampled; or when it fails.
     """
     system = require_system(system, "ma.gradient(system, duration)")
     start = None if state is None else system.checked(state)
@@ -244,10 +251,11 @@ def gradient(
         )
 
         def solve(linearisation: Linearisation, report: Done) -> _AdjointSolution:
-            at_end = 0.0, np.zeros(linearised.size)
+            value, slope = 0.0, np.zeros(linearised.whole_size)
             if final is not None:
-                at_end = _differentiated(final, linearised.end, linearisation.state(linearised.end))
-            return _AdjointSolver(linearised, linearisation, *at_end).solve(report)
+                at_end = linearised.end, linearisation.state(linearised.end)
+                value, slope[: linearised.size] = _differentiated(final, *at_end)
+            return _AdjointSolver(linearised, linearisation, value, slope).solve(report)
 
         solution, quality = linearised.to_accuracy(solve, show)
     return Gradient(
@@ -308,6 +316,7 @@ class _AdjointSolver:
         )
         for k in reversed(range(linearised.count)):
             segment = self._linearisation.segment(k)
+            self._jump(self._linearisation.jump(k))
             self._change_coordinates(segment)
             self._typical_start += segment.panel.length * segment.steepest
             for collocated in reversed(segment.panels(linearised.bounds)):
@@ -318,10 +327,11 @@ class _AdjointSolver:
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(linearised.count - k)
         sizes, admissible = self._sizes(self._magnitudes, self._typical), linearised.admissible
-        start = admissible @ self._mu
+        mu, mu_error = self._mu[: linearised.size], self._error[: linearised.size]
+        start = admissible @ mu
         resolved = ROUNDING / linearised.tolerance * self._typical_start
         start_size = float(max(np.abs(start).max(), resolved, TINY))
-        of_start = np.abs(admissible @ self._error).max() / start_size
+        of_start = np.abs(admissible @ mu_error).max() / start_size
         self._pieces.reverse()
         weights = [panel.length * WEIGHTS for panel, _ in self._pieces]
         of_series = np.maximum(segment_errors[0], (segment_errors[1] / sizes).max(axis=1))
@@ -332,12 +342,21 @@ class _AdjointSolver:
             value=float(self._integrals[0]),
             start=start,
             start_size=start_size,
-            by_parameters=self._integrals[1:] + self._mu @ linearised.start_by_parameters,
+            by_parameters=self._integrals[1:] + mu @ linearised.start_by_parameters,
             sizes=sizes[1:],
             times=np.concatenate([panel.nodes for panel, _ in self._pieces]),
             weights=np.concatenate(weights),
             torque_density=np.concatenate([density for _, density in self._pieces]),
         )
+
+    def _jump(self, jump: Jump | None) -> None:
+        """From displacements after a switch to those before; None: there is none."""
+        if jump is None:
+            return
+        self._integrals[1:] += self._mu @ jump.by_parameters
+        self._magnitudes[1:] += np.abs(self._mu @ jump.by_parameters)
+        self._integral_errors[1:] += self._error @ jump.by_parameters
+        self._mu, self._error = self._mu @ jump.by_state, self._error @ jump.by_state
 
     def _change_coordinates(self, segment: Segment) -> None:
         """From displacements at the end of a segment to its coordinates."""

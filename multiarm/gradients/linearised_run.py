@@ -21,6 +21,7 @@ all segments too, as long as they have at most ``MOST_KEPT`` numbers.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from itertools import chain
@@ -33,12 +34,26 @@ from multiarm.dynamics.sensitivity import Derivatives
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
-from multiarm.events.derivatives import derivatives
+from multiarm.events.derivatives import derivatives_while
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
-from multiarm.gradients.run_series import RunSeries
+from multiarm.gradients.phase import Phase
+from multiarm.gradients.run_series import ComparisonRun, RunSeries
 from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
-from multiarm.gradients.variational_equation import Parameter, VariationalEquation, state_matrices
+from multiarm.gradients.switches import (
+    Jump,
+    Switched,
+    SwitchTime,
+    first_phase,
+    is_switch_time,
+)
+from multiarm.gradients.variational_equation import (
+    Parameter,
+    VariationalEquation,
+    gap_roundings,
+    state_matrices,
+)
 from multiarm.results.trajectory import Trajectory
+from multiarm.scene.changes import value_at
 from multiarm.scene.run import DEFAULT_ACCURACY
 from multiarm.simulation.setup import positive
 from multiarm.terminal.progress import Report
@@ -94,6 +109,10 @@ class Linearisation(Protocol):
 
     def state(self, t: float) -> State:
         """The state at a bound, or at the ends of the run."""
+        ...
+
+    def jump(self, k: int) -> Jump | None:
+        """How displacements jump from the end of a segment to the next one; None: they do not."""
         ...
 
 
@@ -165,9 +184,10 @@ class LinearisedRun:
         if isinstance(parameters, str):
             raise SceneError(f"parameters: expected a list of paths, such as [{parameters!r}]")
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-        self.parameters = [Parameter(system, path, size) for path, size in sizes.items()]
+        self.parameters = [_parameter(system, path, size) for path, size in sizes.items()]
         self._segments: list[tuple[Panel, int]] = []
-        of_start = [parameter.of_start(begin, start) for parameter in self.parameters]
+        first = first_phase(system, begin)
+        of_start = [parameter.of_start(begin, start, first) for parameter in self.parameters]
         self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
         self._values: dict[float, VariationalEquation] = {}
         self._built: dict[tuple[Panel, int], Segment] = {}
@@ -192,8 +212,13 @@ class LinearisedRun:
 
     @property
     def size(self) -> int:
-        """Number of components of a displacement."""
+        """Number of components of a displacement of the state."""
         return 2 * self.layout.nv
+
+    @cached_property
+    def whole_size(self) -> int:
+        """The same with the components of places, see :mod:`multiarm.gradients.switches`."""
+        return self.size + max(phase.size for phase in self._run.phases)
 
     @property
     def _shortest(self) -> float:
@@ -221,11 +246,30 @@ class LinearisedRun:
             return self._built[key]
         times = nodes(*panel, degree)
         pairs = zip(times, self._run.states(times), strict=True)
-        segment = Segment(panel, [self._equation_at_node(t, state) for t, state in pairs])
+        phase = self._run.phases[self.phase_number(k)]
+        segment = Segment(panel, [self._equation_at_node(t, state, phase) for t, state in pairs])
         self._segment_errors[key] = segment.defect, segment.error
         if len(self._built) * segment.numbers < MOST_KEPT:
             self._built[key] = segment
         return segment
+
+    def phase_number(self, k: int) -> int:
+        """The number of the phase in which a segment lies."""
+        panel, _ = self._segments[k]
+        begins = [phase.time for phase in self._run.phases]
+        return bisect_right(begins, 0.5 * (panel.begin + panel.end)) - 1
+
+    def jump(self, k: int) -> Jump | None:
+        """How displacements jump from the end of a segment to the next one; None: they do not."""
+        return self.jump_in(self._run.phases, k)
+
+    def jump_in(self, phases: Sequence[Phase], k: int) -> Jump | None:
+        """:meth:`jump`, in a run with these phases."""
+        if k + 1 == self.count or self.phase_number(k) == self.phase_number(k + 1):
+            return None
+        phase = phases[self.phase_number(k + 1)]
+        assert isinstance(phase, Switched), "only the first phase begins with the run"
+        return phase.jump(self.parameters, self.whole_size)
 
     @cached_property
     def _accelerations(self) -> np.ndarray:
@@ -235,10 +279,14 @@ class LinearisedRun:
         return which
 
     @cached_property
+    def _gap_roundings(self) -> float:
+        return gap_roundings(self.system)
+
+    @cached_property
     def admissible(self) -> np.ndarray:
         """Projector (D, D) on displacements of the start that keep the joints closed."""
         start = self.state(self.begin)
-        return self._derivatives(self.begin, start).motions.admissible()
+        return self._derivatives(self.begin, start, self._run.phases[0]).motions.admissible()
 
     def to_accuracy(
         self, solve: Callable[[Linearisation, Done], AnySolution], show: Report
@@ -292,8 +340,8 @@ class LinearisedRun:
         self._segments = segments
         return best
 
-    def comparison_run(self) -> tuple[dict[float, State], list[list[float]]]:
-        """States of the comparison run, and by segment the times at which matrices are wanted."""
+    def comparison_run(self) -> tuple[ComparisonRun, list[list[float]]]:
+        """The comparison run, and by segment the run's times at which matrices are wanted."""
         times = [nodes(*panel, max(LOWEST, degree // COARSER)) for panel, degree in self._segments]
         return self._run.comparison_run([*chain.from_iterable(times)]), times
 
@@ -337,29 +385,42 @@ class LinearisedRun:
                 segments += [(half, DEGREES[0]) for half in panel.parts(2)]
         self._segments = segments
 
-    def _equation_at_node(self, t: float, state: State) -> VariationalEquation:
+    def _equation_at_node(self, t: float, state: State, phase: Phase) -> VariationalEquation:
         """The equation at a node."""
         value = self._values.get(t)
         if value is None:
-            value = self.equation_at(t, state)
+            value = self.equation_at(t, state, phase)
             if len(self._values) * value.numbers < MOST_KEPT:
                 self._values[t] = value
         return value
 
-    def equation_at(self, t: float, state: State) -> VariationalEquation:
+    def equation_at(self, t: float, state: State, phase: Phase) -> VariationalEquation:
         """The equation at a state."""
-        count, D = len(self.parameters), self._derivatives(t, state)
-        beta, offset = np.zeros((2, self.size, count))
-        A, B = state_matrices(D)
+        count, states, size = len(self.parameters), self.size, self.whole_size
+        D = self._derivatives(t, state, phase)
+        beta, offset = np.zeros((2, size, count))
+        A, B, slope = (
+            np.zeros((size, size)),
+            np.zeros((size, self.layout.rate_count)),
+            np.zeros(size),
+        )
+        A[:states, :states], B[:states] = state_matrices(D)
         for k, parameter in enumerate(self.parameters):
-            along_joints, offset[:, k] = parameter.at(t, state, D.motions)
-            at_state = along_joints - A @ offset[:, k]
-            beta[:, k] = np.where(self._accelerations, at_state, 0.0)
-        rate, slope = 0.0, np.zeros(self.size)
+            along_joints, offset[:states, k] = parameter.at(t, state, D.motions, phase)
+            at_state = along_joints - A[:states, :states] @ offset[:states, k]
+            beta[:states, k] = np.where(self._accelerations, at_state, 0.0)
+        by_place, place_offset = phase.responses(
+            t, state, D.motions, A[:states, :states], self._gap_roundings
+        )
+        A[:states, states : states + phase.size] = np.where(
+            self._accelerations[:, None], by_place, 0.0
+        )
+        rate = 0.0
         if self._integrand is not None:
-            rate, slope = self._integrand(t, state)
-        scale = self._scale(D.evaluation.accelerations)
-        return VariationalEquation(A, B, beta, D.motions, offset, slope, rate, scale)
+            rate, slope[:states] = self._integrand(t, state)
+        scale = np.zeros((size, count))
+        scale[:states] = self._scale(D.evaluation.accelerations)
+        return VariationalEquation(A, B, beta, D.motions, offset, slope, rate, scale, place_offset)
 
     def _scale(self, accelerations: np.ndarray) -> np.ndarray:
         """What the derivatives of the accelerations by parameters are as a rule, shape (D, P)."""
@@ -367,9 +428,9 @@ class LinearisedRun:
         typical = np.array([largest / parameter.size for parameter in self.parameters])
         return np.outer(self._accelerations, typical)
 
-    def _derivatives(self, t: float, state: State) -> Derivatives:
+    def _derivatives(self, t: float, state: State, phase: Phase) -> Derivatives:
         try:
-            return derivatives(self.system, t, state)
+            return derivatives_while(phase.held(self.system), self.system, t, state)
         except SolverError as error:
             raise SolverError(f"at t = {t:.9g} s: {error}") from None
 
@@ -379,16 +440,28 @@ class _ComparisonRun:
 
     def __init__(self, linearised: LinearisedRun) -> None:
         self._linearised = linearised
-        self._states, self._times = linearised.comparison_run()
+        (self._states, self._phases), self._times = linearised.comparison_run()
 
     def segment(self, k: int) -> Segment:
         """A segment with its matrices."""
-        values = [self._linearised.equation_at(t, self._states[t]) for t in self._times[k]]
+        phase = self._phases[self._linearised.phase_number(k)]
+        values = [self._linearised.equation_at(*self._states[t], phase) for t in self._times[k]]
         return self._linearised.segment(k).of_comparison_run(values)
 
     def state(self, t: float) -> State:
         """The state at a bound, or at the ends of the run."""
-        return self._states[t]
+        return self._states[t].state
+
+    def jump(self, k: int) -> Jump | None:
+        """How displacements jump from the end of a segment to the next one; None: they do not."""
+        return self._linearised.jump_in(self._phases, k)
+
+
+def _parameter(system: System, path: str, size: float | None) -> Parameter | SwitchTime:
+    """A number of the scene by which runs are differentiated."""
+    if is_switch_time(path) and isinstance(value_at(system.scene, path), float):
+        return SwitchTime(system, path, size)
+    return Parameter(system, path, size)
 
 
 def _assess(error: float, tolerance: float, end: float) -> Quality:

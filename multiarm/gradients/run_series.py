@@ -8,13 +8,21 @@ divided, and the run repeated.
 A run differs from the exact motion by an error that grows as motions separate.  A *comparison run*
 starts from the same state, with a tenth of the tolerance: their difference is about the error of
 the first as long as it is small, and as large as the motion itself where no digit is right.
+
+Panels end where timed joints take hold or let go.  A run's sample there is that before the switch;
+what follows it (:mod:`multiarm.gradients.switches`) takes the place of samples so shortly after it
+that the loop over time counts them as before.  Where functions tell when joints switch, the
+comparison run does so at slightly other times: its times are those of the run, stretched between
+one switch and the next.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
 from itertools import chain, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +31,10 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
 from multiarm.gradients.interpolation import Series, nodes
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.segments import SHORTEST, Panel
+from multiarm.gradients.switches import SOON, Switched, phases, switch_events
+from multiarm.gradients.variational_equation import displaced
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
 from multiarm.simulation.setup import SMALLEST_TOLERANCE
@@ -39,6 +50,20 @@ SHARP, MOST_PANELS = 1e3, 500
 # Accuracy of the comparison run, as part of the run's.  Runs with less than the second have the
 # smallest tolerances already, and their comparison runs err ten times as much.
 SHARPER, SHARPEST = 0.1, 100.0 * SMALLEST_TOLERANCE
+
+
+class TimedState(NamedTuple):
+    """A state at a time [s]."""
+
+    time: float
+    state: State
+
+
+class ComparisonRun(NamedTuple):
+    """Times and states of the comparison run, by the times of the run, and its phases."""
+
+    states: dict[float, TimedState]
+    phases: list[Phase]
 
 
 class RunSeries:
@@ -62,6 +87,8 @@ class RunSeries:
         Without a time inside at which control or loads are not smooth.
     trajectory : Trajectory
         The run, sampled at the nodes of the panels and at the bounds.
+    phases : list of Phase
+        What timed joints do, between one switch and the next.
 
     Raises
     ------
@@ -70,6 +97,7 @@ class RunSeries:
     """
 
     trajectory: Trajectory
+    phases: list[Phase]
 
     def __init__(
         self,
@@ -81,8 +109,10 @@ class RunSeries:
         bounds: np.ndarray,
     ) -> None:
         self._system, self._layout, self._accuracy = system, system.model.layout, accuracy
-        self._start, self._bounds = start, {begin, end, *bounds.tolist()}
-        rough = system.model.breakpoints
+        self._start, self._begin, self._end = start, begin, end
+        self._switches = self._switch_times(accuracy)
+        self._bounds = {begin, end, *bounds.tolist(), *self._switches}
+        rough = np.array([*system.model.breakpoints, *self._switches])
         inner = rough[(rough > begin) & (rough < end)]
         self.panels = _divided(np.unique([begin, end, *inner]))
         shortest, before = SHORTEST * (end - begin), dict.fromkeys(self.panels, math.inf)
@@ -120,42 +150,85 @@ class RunSeries:
         """Positions and velocities, one after the other, on the panel of a time."""
         return self._series[max(bisect_right(self._begins, t) - 1, 0)]
 
-    def comparison_run(self, times: list[float]) -> dict[float, State]:
-        """States of the comparison run at some times, and at the ends of the run."""
+    def comparison_run(self, times: list[float]) -> ComparisonRun:
+        """States of the comparison run at some times, and at the bounds and ends of the run."""
         sharper = SHARPER if self._accuracy > SHARPEST else 1.0 / SHARPER
-        _, numbers = self._simulated(sharper * self._accuracy, [*times, *self._bounds])
-        return {t: self._state(row) for t, row in numbers.items()}
+        accuracy, wanted = sharper * self._accuracy, np.unique([*times, *self._bounds])
+        switches = self._switch_times(accuracy)
+        if len(switches) != len(self._switches):
+            raise SolverError(
+                "derivatives of a run: joints take hold and let go another number of times in a "
+                "run of another accuracy; end the run earlier, or ask for a smaller `accuracy`"
+            )
+        at = wanted
+        if switches != self._switches:
+            of_run, moved = ([self._begin, *ts, self._end] for ts in (self._switches, switches))
+            at = np.interp(wanted, of_run, moved)
+        _, numbers, course = self._simulated(accuracy, at.tolist(), self.phases)
+        pairs = zip(wanted.tolist(), at.tolist(), strict=True)
+        return ComparisonRun(
+            {t: TimedState(moved, self._state(numbers[moved])) for t, moved in pairs}, course
+        )
 
     def _run(self) -> None:
         """Run to all nodes."""
         at = [nodes(*panel, DEGREE) for panel in self.panels]
         times = [*self._bounds, *chain.from_iterable(at)]
-        self.trajectory, numbers = self._simulated(self._accuracy, times)
+        self.trajectory, numbers, self.phases = self._simulated(self._accuracy, times)
         self._at_bounds = {t: self._state(numbers[t]) for t in self._bounds}
         self._series = [
             Series(*panel, np.array([numbers[t] for t in times]))
             for panel, times in zip(self.panels, at, strict=True)
         ]
 
-    def _simulated(
-        self, accuracy: float, times: list[float]
-    ) -> tuple[Trajectory, dict[float, np.ndarray]]:
-        """A run of some accuracy; positions and velocities, one after the other, at some times."""
-        begin, end = self.panels[0].begin, self.panels[-1].end
+    def _switch_times(self, accuracy: float) -> list[float]:
+        """When timed joints may take hold and let go within a run of some accuracy [s]."""
+        unilateral = self._system.model.unilateral
+        if unilateral is None or not unilateral.timed:
+            return []
+        moments = {m for joint in unilateral.timed for m in joint.moments if isinstance(m, float)}
+        if unilateral.has_functions:
+            run = self._trajectory(accuracy, [self._end])
+            moments |= {event["time"] for event in switch_events(run)}
+        return sorted(t for t in moments if self._begin < t < self._end)
+
+    def _trajectory(self, accuracy: float, times: list[float]) -> Trajectory:
+        """A run of some accuracy, sampled at some times."""
         run = simulate(
             self._system,
-            end - begin,
+            self._end - self._begin,
             accuracy=accuracy,
             state=self._start,
-            start_time=begin,
+            start_time=self._begin,
             output_times=np.unique(times),
             certificate=False,
         )
         if run.status != RunStatus.COMPLETED:
             raise SolverError(f"the run that is differentiated did not end well: {run.message}")
         _refuse_events(run)
-        numbers = np.hstack(_states_of(run, self._layout))
-        return run, dict(zip(np.unique(times).tolist(), numbers, strict=True))
+        return run
+
+    def _simulated(
+        self, accuracy: float, times: list[float], like: Sequence[Phase] = ()
+    ) -> tuple[Trajectory, dict[float, np.ndarray], list[Phase]]:
+        """A run of some accuracy, with its phases; ``like`` are those of a run nearby.
+
+        Its positions and velocities, one after the other, at some times, among them its switches.
+        """
+        run = self._trajectory(accuracy, times)
+        at, numbers = np.unique(times), np.hstack(_states_of(run, self._layout))
+
+        def before(t: float) -> State:
+            return self._state(numbers[int(np.abs(at - t).argmin())])
+
+        course = phases(self._system, run, self._begin, before, like)
+        for phase in course:
+            if not isinstance(phase, Switched):
+                continue
+            for k in np.flatnonzero((at > phase.time) & (at <= phase.time + SOON)):
+                later = displaced(phase.after.state, (at[k] - phase.time) * phase.rate_after)
+                numbers[k] = np.concatenate([later.position, later.velocity])
+        return run, dict(zip(at.tolist(), numbers, strict=True)), course
 
     def _state(self, numbers: np.ndarray) -> State:
         nq = self._layout.nq
@@ -183,8 +256,8 @@ def _states_of(run: Trajectory, layout: Layout) -> tuple[np.ndarray, np.ndarray]
 
 
 def _refuse_events(run: Trajectory) -> None:
-    if run.statistics.get("contact_events", 0):
-        first = next(event for event in run.events if {"before", "impulse"} & event.keys())
+    if run.statistics.get("contact_events", 0) > len(switch_events(run)):
+        first = next(event for event in run.events if "before" in event)
         raise SolverError(
             f"derivatives of a run: contacts or joints open, close or slide in it, and the "
             f"motion beyond depends on when ({first['text']} at t = {first['time']:.6g} s); end "

@@ -211,14 +211,29 @@ class Segment:
 
 
 def _bases(panel: Panel, values: Sequence[VariationalEquation]) -> list[np.ndarray]:
-    """N at the nodes of a segment."""
+    """N at the nodes of a segment, with the components of places."""
     bases = free_bases([value.motions for value in values])
+    states, size = values[0].motions.constraint.shape[1], len(values[0].A)
+    if size > states:
+        bases = [
+            _with_places(N, value.place_offset, size)
+            for N, value in zip(bases, values, strict=True)
+        ]
     if len({N.shape for N in bases}) > 1:
         raise SolverError(
             f"the rank of the constraints changes between {panel.begin:.6g} s and "
             f"{panel.end:.6g} s, where the run has no derivatives"
         )
     return bases
+
+
+def _with_places(N: np.ndarray, offset: np.ndarray, size: int) -> np.ndarray:
+    """N for displacements with components of places, of which the last ones may be of no use."""
+    (states, d), r = N.shape, offset.shape[1]
+    whole = np.zeros((size, d + r))
+    whole[:states, :d], whole[:states, d:] = N, offset
+    whole[states : states + r, d:] = np.eye(r)
+    return np.linalg.qr(whole).Q
 
 
 def _in_coordinates(

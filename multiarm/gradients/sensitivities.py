@@ -1,7 +1,8 @@
 r"""Forward sensitivities: how all states of a run depend on its start and on numbers of the scene.
 
 The columns of :math:`S = (\partial x(t)/\partial x_0,\ \partial x(t)/\partial p)` solve the
-variational equation :math:`\dot S = A S + (0, \beta)` along the run.  Their number does not grow
+variational equation :math:`\dot S = A S + (0, \beta)` along the run, and jump where timed joints
+take hold or let go (:mod:`multiarm.gradients.switches`).  Their number does not grow
 with that of the output times, so that they suit fits to many measurements, as gradients
 (:mod:`multiarm.gradients.gradient`) suit many parameters.
 """
@@ -205,7 +206,7 @@ def sensitivities(
     of_parameters = {path: slice(size + k, size + k + 1) for k, path in enumerate(linearised.paths)}
     return Sensitivities(
         time=at,
-        matrix=np.stack([solution.at[t] for t in at.tolist()]),
+        matrix=np.stack([solution.at[t][:size] for t in at.tolist()]),
         rows=rows,
         columns=rows | of_parameters,
         states=[linearised.state(t) for t in at.tolist()],
@@ -220,7 +221,9 @@ class _ForwardSolver:
 
     def __init__(self, linearised: LinearisedRun, linearisation: Linearisation) -> None:
         self._linearised, self._linearisation = linearised, linearisation
-        self._S = np.hstack([linearised.admissible, linearised.start_by_parameters])
+        start = np.hstack([linearised.admissible, linearised.start_by_parameters])
+        self._S = np.zeros((linearised.whole_size, start.shape[1]))
+        self._S[: linearised.size] = start
         self._error, self._worst = np.zeros_like(self._S), np.zeros(self._S.shape[1])
         self._sizes = np.abs(self._S).max(axis=0, initial=TINY)
         self._grown = np.zeros(self._S.shape[1])
@@ -251,6 +254,10 @@ class _ForwardSolver:
                 self._at[collocated.panel.end] = E @ self._S
                 self._at[collocated.panel.end][:, linearised.size :] += n
             self._S, self._error = self._at[segment.panel.end], E @ self._error
+            jump = self._linearisation.jump(k)
+            if jump is not None:
+                self._S, self._error = jump.by_state @ self._S, jump.by_state @ self._error
+                self._S[:, linearised.size :] += jump.by_parameters
             report(k + 1)
         of_series = (segment_errors / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())

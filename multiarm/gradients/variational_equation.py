@@ -28,6 +28,7 @@ where an arm is singular they have no derivative off them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,17 +39,20 @@ from multiarm.assembly.start import project_start
 from multiarm.contacts.table import Code, rolls
 from multiarm.dynamics import evaluation
 from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.sensitivity import Derivatives, Motions
-from multiarm.dynamics.solver.bounds import SYSTEM_TOLERANCE
+from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, SYSTEM_TOLERANCE
 from multiarm.dynamics.solver.dense import reciprocal_lengths
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import ModelError, MultiarmError, SceneError, SolverError
-from multiarm.events.evaluation import evaluate
+from multiarm.events.evaluation import enter_mode_at, evaluate
+from multiarm.events.taking_hold import HeldJoints
 from multiarm.geometry.screws import skew
 from multiarm.geometry.stencils import CENTRAL_4
+from multiarm.gradients.phase import Phase
 from multiarm.jit.rows import fields_of
 from multiarm.scene.changes import parse_path, value_at
 from multiarm.scene.faults import place, shown
@@ -72,6 +76,9 @@ UNEVEN, START_ROUNDINGS, ACCELERATION_ROUNDINGS = 0.1, 1e-9, 1e-5
 class VariationalEquation(NamedTuple):
     """The variational equation at one state, D = 12 F + 2 n with F objects.
 
+    Where joints hold their bodies where they were at a switch, displacements have r further
+    components, of places (:mod:`multiarm.gradients.switches`), the same number in all of a run.
+
     Attributes
     ----------
     A : ndarray, shape (D, D)
@@ -90,6 +97,8 @@ class VariationalEquation(NamedTuple):
         The integrand.
     scale : ndarray, shape (D, P)
         What ``beta`` is as a rule: the largest acceleration, or gravity, over a parameter's size.
+    place_offset : ndarray, shape (2 nv, r)
+        Displacements of the state that follow joints which have taken hold elsewhere.
     """
 
     A: np.ndarray
@@ -100,6 +109,7 @@ class VariationalEquation(NamedTuple):
     slope: np.ndarray
     rate: float
     scale: np.ndarray
+    place_offset: np.ndarray
 
     @property
     def numbers(self) -> int:
@@ -159,6 +169,8 @@ class Parameter:
     ----------
     path : str
     size : float
+    systems : list of System
+        With the numbers of a difference of order four.
 
     Raises
     ------
@@ -180,12 +192,12 @@ class Parameter:
         self.path, self.size = path, positive(f"parameters[{path!r}]", size)
         self._system, step = system, PART * self.size
         self._weights = np.array(CENTRAL_4.weights) / step
-        self._gap_roundings = _gap_roundings(system)
-        self._systems = [
+        self._gap_roundings = gap_roundings(system)
+        self.systems = [
             _with_value(system, path, value + offset * step) for offset in CENTRAL_4.offsets
         ]
 
-    def of_start(self, t: float, state: State | None) -> np.ndarray:
+    def of_start(self, t: float, state: State | None, phase: Phase) -> np.ndarray:
         """The derivative of the state in which runs begin at a time [s], shape (D,).
 
         Runs begin in the scene's start, or in a given state, which is put on the joints.
@@ -197,7 +209,7 @@ class Parameter:
         """
         try:
             start = _start(self._system, state)
-            ends = [_start(system, state) for system in self._systems]
+            ends = [_start(system, state) for system in self.systems]
         except ModelError as error:
             raise SceneError(
                 f"{self.path}: derivatives by it need runs from `state` in scenes with values "
@@ -205,13 +217,13 @@ class Parameter:
                 f"`parameters={{{self.path!r}: ...}}` ({error})"
             ) from None
         changes = np.array([displacement(start, end) for end in ends])
-        before, _ = self._evaluated(self._system, t, start)
+        before, _ = evaluated(self._system, t, start, phase.held(self._system), self.path)
         after = [
-            self._evaluated(system, t, end)[0]
-            for system, end in zip(self._systems, ends, strict=True)
+            evaluated(system, t, end, phase.held(system), self.path)[0]
+            for system, end in zip(self.systems, ends, strict=True)
         ]
         faster = (np.array(after) - before) / max(1.0, np.abs(before).max())
-        if _jump(changes, START_ROUNDINGS) or _jump(faster, ACCELERATION_ROUNDINGS):
+        if jumps(changes, START_ROUNDINGS) or jumps(faster, ACCELERATION_ROUNDINGS):
             raise SceneError(
                 f"{self.path}: the start of the run, or its accelerations, do not depend on it "
                 f"smoothly: they jump as it changes by {PART * self.size:.3g}; where a posture or "
@@ -221,7 +233,9 @@ class Parameter:
             )
         return self._weights @ changes
 
-    def at(self, t: float, state: State, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, t: float, state: State, motions: Motions, phase: Phase
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The derivatives of the state's rate, and of the state itself as it follows the joints.
 
         Parameters
@@ -231,6 +245,8 @@ class Parameter:
         state : State
         motions : Motions
             At this state.
+        phase : Phase
+            Of the run at this time.
 
         Returns
         -------
@@ -242,45 +258,98 @@ class Parameter:
         SolverError
             When the parameter moves contacts that can open.
         """
-        weights, systems = self._weights, self._systems
-        moves = np.zeros((len(systems), 2 * state.layout.nv))
-        evaluated = [self._evaluated(system, t, state) for system in systems]
-        gaps = np.array([residuals for _, residuals in evaluated])
-        fastest = max(1.0, np.abs(state.velocity).max())
-        if np.ptp(gaps, axis=0).max(initial=0.0) > self._gap_roundings * fastest:
-            C = motions.constraint
-            scale = reciprocal_lengths(np.linalg.norm(C, axis=1))
-            closing = np.linalg.pinv(scale[:, None] * C, SYSTEM_TOLERANCE) * scale
+        nearby = [Nearby(system, phase.held(system)) for system in self.systems]
+        return response(nearby, self._weights, t, state, motions, self._gap_roundings, self.path)
+
+
+class Nearby(NamedTuple):
+    """A system beside that of the run, or with joints that have taken hold elsewhere."""
+
+    system: System
+    held: HeldJoints | None
+
+
+def response(
+    nearby: Sequence[Nearby],
+    weights: np.ndarray,
+    t: float,
+    state: State,
+    motions: Motions,
+    roundings: float,
+    path: str = "",
+) -> tuple[np.ndarray, np.ndarray]:
+    """Differences, with some weights, of a state's rate, and of the state as it follows the joints.
+
+    Changes of the gaps [m] that are ``roundings`` do not count.  As of :meth:`Parameter.at`.
+    """
+    moves = np.zeros((len(nearby), 2 * state.layout.nv))
+    results = [evaluated(system, t, state, held, path) for system, held in nearby]
+    gaps = np.array([residuals for _, residuals in results])
+    fastest = max(1.0, np.abs(state.velocity).max())
+    if np.ptp(gaps, axis=0).max(initial=0.0) > roundings * fastest:
+        closing = closing_of(motions)
+        for k, (system, held) in enumerate(nearby):
             for _ in range(NEWTON_STEPS):
-                moves -= gaps @ closing.T
-                evaluated = [
-                    self._evaluated(system, t, displaced(state, move))
-                    for system, move in zip(systems, moves, strict=True)
-                ]
-                gaps = np.array([residuals for _, residuals in evaluated])
-        rate = np.zeros(2 * state.layout.nv)
-        rate[state.layout.velocity_columns] = weights @ [changes for changes, _ in evaluated]
-        return rate, weights @ moves
-
-    def _evaluated(self, system: System, t: float, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of one system, and its gaps and gap rates."""
-        if system.model.unilateral is None:
-            with system.borrow() as data:
-                accelerations = evaluation.evaluate(data, t, state).accelerations
-                contacts = data.contact_rows
-                codes = fields_of(Code, data.model.constants.contacts.codes)
-                gaps = contacts.gap[~rolls(codes.kind[: contacts.gap.size])]
-                return accelerations, np.concatenate([gaps, contacts.gap_rate])
-        evaluated = evaluate(system, t, state)
-        if max(evaluated.position_residual, evaluated.velocity_residual) > CLOSED:
-            raise SolverError(
-                f"the parameter {self.path} moves contacts that can open; a run is differentiated "
-                "by such numbers only where all contacts hold both ways"
-            )
-        return evaluated.accelerations, np.zeros(0)
+                moves[k] -= closing @ results[k][1]
+                results[k] = evaluated(system, t, displaced(state, moves[k]), held, path)
+    rate = np.zeros(2 * state.layout.nv)
+    rate[state.layout.velocity_columns] = weights @ [changes for changes, _ in results]
+    return rate, weights @ moves
 
 
-def _jump(changes: np.ndarray, roundings: float) -> bool:
+def closing_of(motions: Motions) -> np.ndarray:
+    """The least displacements that change gaps and gap rates by one, (D, K + N)."""
+    C = motions.constraint
+    scale = reciprocal_lengths(np.linalg.norm(C, axis=1))
+    # the rank is that of the displacements that keep the joints closed
+    tolerance = SYSTEM_TOLERANCE if motions.independent else COUPLED_RANK_TOLERANCE
+    return np.linalg.pinv(scale[:, None] * C, tolerance) * scale
+
+
+def evaluated(
+    system: System, t: float, state: State, held: HeldJoints | None, path: str = ""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Accelerations of a system, and its gaps and gap rates.
+
+    ``path`` is that of the number by which it differs from the run's.
+    """
+    unilateral = system.model.unilateral
+    if unilateral is None:
+        with system.borrow() as data:
+            accelerations = evaluation.evaluate(data, t, state).accelerations
+            return accelerations, _closed_gaps(data)
+    if held is None:
+        result = evaluate(system, t, state)
+        if max(result.position_residual, result.velocity_residual) > CLOSED:
+            raise _moves_contacts(path)
+        return result.accelerations, np.zeros(0)
+    with system.borrow() as data:
+        modes = enter_mode_at(data, t, state, held)
+        accelerations = evaluation.evaluate(modes.data, t, state).accelerations
+        rows = modes.data.contact_rows
+        enforced = [row in unilateral.enforced for row in modes.data.rows.tolist()]
+        if np.abs([rows.gap[enforced], rows.gap_rate[enforced]]).max(initial=0.0) > CLOSED:
+            raise _moves_contacts(path)
+        return accelerations, _closed_gaps(modes.data)
+
+
+def _closed_gaps(data: Data) -> np.ndarray:
+    """Gaps that joints keep closed, and rates of all rows, at the last evaluation."""
+    contacts = data.contact_rows
+    codes = fields_of(Code, data.model.constants.contacts.codes)
+    gaps = contacts.gap[~rolls(codes.kind[: contacts.gap.size])]
+    return np.concatenate([gaps, contacts.gap_rate])
+
+
+def _moves_contacts(path: str) -> SolverError:
+    what = f"the parameter {path}" if path else "a joint that takes hold elsewhere"
+    return SolverError(
+        f"{what} moves contacts that can open; a run is differentiated by such numbers only where "
+        "all contacts hold both ways"
+    )
+
+
+def jumps(changes: np.ndarray, roundings: float) -> bool:
     """Whether changes by the four displacements are not those of a smooth function.
 
     Its first and second differences agree over the long and over the short steps.
@@ -292,7 +361,7 @@ def _jump(changes: np.ndarray, roundings: float) -> bool:
     return bool(uneven > roundings + UNEVEN * largest)
 
 
-def _gap_roundings(system: System) -> float:
+def gap_roundings(system: System) -> float:
     """Gaps that are roundings of the coordinates at the scene's start [m]."""
     with system.borrow() as data:
         place_state(data, 0.0, system.initial_state())

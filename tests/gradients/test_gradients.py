@@ -36,6 +36,7 @@ from multiarm.gradients.gradient import _AdjointSolver
 from multiarm.gradients.gradient import _solved_with_error as _backward
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.linearised_run import LinearisedRun
+from multiarm.gradients.phase import Phase
 from multiarm.gradients.run_series import RunSeries
 from multiarm.gradients.segments import PATIENCE, RICHARDSON, WHOLE, CollocatedPanel, Panel, Segment
 from multiarm.gradients.sensitivities import _ForwardSolver
@@ -205,8 +206,9 @@ def test_the_error_of_a_series_is_solved_for_with_the_solution():
         A = np.array([[0.0, 1.0], [-40.0 * np.cos(25.0 * t), -1.0]])
         beta, slope = np.array([[0.0], [np.sin(25.0 * t)]]), np.array([np.cos(20.0 * t), 0.0])
         return VariationalEquation(
-            A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1))
-        )
+            A, np.zeros((2, 0)), beta, free, np.zeros((2, 1)), slope, 0.0, np.zeros((2, 1)),
+            np.zeros((2, 0)),
+        )  # fmt: skip
 
     class Free:
         """All displacements of one coordinate and its rate are free."""
@@ -434,10 +436,10 @@ def test_a_start_or_its_accelerations_that_jump_with_a_number_are_refused(path, 
     system = ma.compile_system(scene)
     jumped = ma.compile_system(scene.replace({path: value_at(scene, path) + change}))
     parameter = Parameter(system, "object.mass")
-    parameter._systems[2:] = [jumped, jumped]
+    parameter.systems[2:] = [jumped, jumped]
     for state in (None, system.initial_state()):
         with refused(SceneError, "object.mass"):
-            parameter.of_start(0.0, state)
+            parameter.of_start(0.0, state, Phase(None))
 
 
 PLACE_OF_A_JOINT = "joints[1].at.xyz[2]"
@@ -459,10 +461,10 @@ def test_which_numbers_move_the_joints_does_not_depend_on_what_was_evaluated_bef
     system = ma.compile_system(pair_with_written_joints())
     parameter, state = Parameter(system, PLACE_OF_A_JOINT), system.initial_state()
     motions = ma.derivatives(system, 0.0, state).motions
-    _, expected = parameter.at(0.0, state, motions)
+    _, expected = parameter.at(0.0, state, motions, Phase(None))
     assert np.abs(expected).max() > 0.1
     ma.evaluate(system, 0.0, system.state(object_position=[1e13, 0.0, 0.0]))
-    _, offset = parameter.at(0.0, state, motions)
+    _, offset = parameter.at(0.0, state, motions, Phase(None))
     np.testing.assert_array_equal(offset, expected)
 
 
