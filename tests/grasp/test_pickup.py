@@ -171,6 +171,18 @@ def test_corners_that_lie_on_the_floor_are_those_of_the_phase(block):
     assert turned.min() > -ROUNDING
 
 
+def test_a_body_lies_on_a_face_that_carries_it():
+    body = Polyhedron.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.9, 0.9, 1.0]])
+    lies = lying(body)
+    heights = lies.at(body.vertices)[:, 2]
+    assert heights.min() > -ROUNDING and np.sum(heights < ROUNDING) == 3
+    assert lies.at(body.centre)[:2] == pytest.approx(0.0, abs=ROUNDING)
+    # the foot of the centre of mass is inside the triangle
+    corners = lies.at(body.vertices[list(lies.corners)])[:, :2]
+    shares = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
+    assert shares.min() > 0.0
+
+
 def test_a_prism_that_overhangs_is_picked_up_as_it_lies():
     around = np.linspace(0.0, 2.0 * np.pi, 7)[:-1]
     body = Polyhedron.prism(0.25 * np.column_stack([np.cos(around), np.sin(around)]), 0.3)
@@ -218,7 +230,7 @@ def test_a_floor_too_near_is_named():
 @pytest.mark.parametrize(
     ("body", "options"),
     [
-        (Polyhedron.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.9, 0.9, 1.0]]), {}),
+        (Polyhedron.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.9, 0.9, 1.0]]), {"face": 3}),
         (Polyhedron.box(SIZE), {"face": "bottom"}),
         (Polyhedron.box(SIZE), {"face": 6}),
         (Polyhedron.box(SIZE), {"finger": 0.0}),

@@ -142,7 +142,8 @@ def lying(body: Polyhedron, face: int | str | None = None) -> LyingBody:
     ----------
     body : Polyhedron
     face : int or str, optional
-        Its number or its name; left out: the face that looks down most steeply.
+        Its number or its name; left out: of those that it can lie on, the one that looks down most
+        steeply.
 
     Raises
     ------
@@ -154,25 +155,32 @@ def lying(body: Polyhedron, face: int | str | None = None) -> LyingBody:
             "the body is not convex; what is planned for its hull, Polyhedron.hull(body.vertices), "
             "may serve"
         )
-    number = _face_number(body, face)
-    normal = body.faces[number].normal
+    if face is not None:
+        lies = _on_face(body, _face_number(body, face))
+        over = _falls_over(lies)
+        if over is not None:
+            raise GraspError(
+                f"the body does not lie on {body.names[lies.face]}: it falls over {over.name}; "
+                "name another face"
+            )
+        return lies
+    on_faces = [_on_face(body, int(k)) for k in np.argsort(body.normals[:, 2], kind="stable")]
+    return next(lies for lies in on_faces if _falls_over(lies) is None)  # every body has one
+
+
+def _on_face(body: Polyhedron, number: int) -> LyingBody:
     pose = np.eye(4)
-    pose[:3, :3] = _least_turn(normal, DOWN)
+    pose[:3, :3] = _least_turn(body.faces[number].normal, DOWN)
     pose[:2, 3] = -(pose[:3, :3] @ body.centre)[:2]
     pose[2, 3] = body.faces[number].offset  # the face looks down: its plane is at -offset
-    lies = LyingBody(body, number, pose)
-    short = [edge for edge in lies.edges() if edge.lever <= 0.0]
-    if short:
-        raise GraspError(
-            f"the body does not lie on {body.names[number]}: it falls over {short[0].name}; name "
-            "another face"
-        )
-    return lies
+    return LyingBody(body, number, pose)
 
 
-def _face_number(body: Polyhedron, face: int | str | None) -> int:
-    if face is None:
-        return int(np.argmin(body.normals[:, 2]))
+def _falls_over(lies: LyingBody) -> PivotEdge | None:
+    return next((edge for edge in lies.edges() if edge.lever <= 0.0), None)
+
+
+def _face_number(body: Polyhedron, face: int | str) -> int:
     if isinstance(face, str) and body.names.count(face) == 1:
         return body.names.index(face)
     if isinstance(face, int) and not isinstance(face, bool) and face in range(len(body.faces)):

@@ -27,7 +27,8 @@ from multiarm.grasp.face_contacts import Gripper
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
 from multiarm.grasp.pickup.contact_search import ContactSearch, Placement
-from multiarm.grasp.pickup.lying_body import STILL, LyingBody, PivotEdge, lying, reached_part
+from multiarm.grasp.pickup.from_above import approach_from_above
+from multiarm.grasp.pickup.lying_body import DOWN, STILL, LyingBody, PivotEdge, lying, reached_part
 from multiarm.grasp.pickup.phases import (
     GRIP,
     LIFT,
@@ -79,7 +80,8 @@ def plan_pickup(
     body : Polyhedron
         Convex.
     face : int or str, optional
-        On which it lies, by number or name; left out: the one that looks down most steeply.
+        On which it lies, by number or name; left out: of those that it can lie on, the one that
+        looks down most steeply.
     gripper_size : float, optional
         All contacts of a gripper are within this distance of a corner of the body [m]; left out:
         two fifths of the size of the body, less where it has very many faces.
@@ -139,6 +141,7 @@ class _Planner:
         self.least, self.rng = least, rng
         self.free = self._parts([STILL])
         self.most = LARGEST
+        self.reached: dict[frozenset[int], bool] = {}
 
     def plan(self) -> PickupPlan:
         """The plan."""
@@ -235,7 +238,7 @@ class _Planner:
             return PickupRefusal(
                 edge,
                 f"no two grippers of {self.gripper_sizes[0]:.3g} m reach faces that close it, each "
-                "from one side; choose larger ones",
+                "from one side and from above; choose larger ones",
             )
         motions = [STILL] if edge is None else [STILL, edge.turned(limit)]
         forces = [(motion @ self.lies.pose)[:3, :3].T @ UP for motion in motions]
@@ -285,7 +288,26 @@ class _Planner:
         below = np.array([region.face == self.lies.face for region in choices.regions], dtype=int)
         counts = below[choices.numbers].sum(axis=1)
         usable = (counts >= (edge is not None)) & (counts <= MOST_BELOW)
-        return FaceChoices(choices.regions, choices.numbers[usable])
+        numbers = choices.numbers[usable]
+        hands = np.split(numbers, [FINGERS[0]], axis=1)
+        reached = np.array(
+            [
+                all(self._comes_from_above(choices, hand[k]) for hand in hands)
+                for k in range(len(numbers))
+            ],
+            dtype=bool,
+        )
+        return FaceChoices(choices.regions, numbers[reached])
+
+    def _comes_from_above(self, choices: FaceChoices, hand: np.ndarray) -> bool:
+        """Whether a hand reaches those of its regions that are free as the body lies."""
+        faces = {choices.regions[k].face for k in hand.tolist()} - {self.lies.face}
+        key = frozenset(faces)
+        if key not in self.reached:
+            down = self.lies.pose[:3, :3].T @ DOWN
+            inward = -self.body.normals[sorted(faces)]
+            self.reached[key] = bool(faces) and approach_from_above(inward, down) is not None
+        return self.reached[key]
 
     def _parts(self, motions: list[np.ndarray]) -> dict[int, np.ndarray]:
         """What fingertips reach of the faces after every one of some motions, by face."""

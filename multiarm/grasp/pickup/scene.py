@@ -33,10 +33,11 @@ from multiarm.errors import GraspError
 from multiarm.grasp.arguments import number_of
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.pickup.course import CLOSED, GRAVITY, HELD, LIFTED, TILTED, PickupCourse
+from multiarm.grasp.pickup.from_above import DESCENTS, approach_from_above
+from multiarm.grasp.pickup.lying_body import DOWN
 from multiarm.grasp.pickup.phases import PhasedPickup
 from multiarm.grasp.scenes import arm_table, object_table
 from multiarm.grasp.scenes.hands import (
-    LEAST_CLEARANCE,
     PEDESTAL_COST,
     SIDEWAYS,
     TURNS,
@@ -51,14 +52,11 @@ from multiarm.grasp.scenes.hands import (
     robot_alone,
 )
 from multiarm.notation import count_of
-from multiarm.programs import least_distance
 from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, Scene, find_robot, resolve_arm
 from multiarm.spatial import difference, matrix_to_quaternion
 from multiarm.terminal.progress import PartProgress, displayed
 
-# How steeply hands come down at least, over their clearance of the faces that they touch.
-DESCENTS = (0.7, 1.5)
 # Distances of a base from the contacts of its hand, and heights of pedestals, in reaches of an arm.
 DISTANCES, PEDESTALS = (0.35, 0.45, 0.6), (0.0, 0.2)
 # Springs and dampers of the drives [N m/rad, N m s/rad].
@@ -138,8 +136,6 @@ def pickup_scene(
             show(number / len(arms), f"postures of '{gripper.name}'")
             gripper = grasp.grippers[number]
             early = _part(plan, gripper, late=False)
-            if not early.contacts:
-                raise UnreachableError(f"gripper '{gripper.name}' touches no face that is free")
             spec = ArmSpec(robot=robot, tip=find_robot(robot).tip)
             stand = _stand(plan, grasp, early, spec, course, centre, rng)
             arm = arm_table(grasp, early, spec, stand, plan.tip_radius, hand_mass)
@@ -242,33 +238,14 @@ def _places(
     place = start[:3, :3] @ aim + start[:3, 3]
     beyond = float(np.arctan2(place[1] - start[1, 3], place[0] - start[0, 3]))
     for descent in DESCENTS:
-        direction = _from_above(grasp, gripper, start[:3, :3], descent)
+        inward = grasp.contacts.normals[list(gripper.contacts)]
+        direction = approach_from_above(inward, start[:3, :3].T @ DOWN, descent)
+        if direction is None:
+            continue
         for turn, distance, aside, pedestal in product(TURNS, DISTANCES, SIDEWAYS, PEDESTALS):
             mount = mount_pose(grasp, gripper, direction, aim, turn, tip_radius)
             base = base_facing(place, beyond + aside, distance * reach, pedestal * reach)
             yield base, mount, PEDESTAL_COST if base[2, 3] > 0.0 else 1.0
-
-
-def _from_above(
-    grasp: FaceContacts, gripper: Gripper, turn: np.ndarray, descent: float
-) -> np.ndarray:
-    """The direction (3,) from above that clears the faces that a gripper touches best.
-
-    Raises
-    ------
-    UnreachableError
-        No direction does.
-    """
-    inward = grasp.contacts.normals[list(gripper.contacts)]
-    rows = np.vstack([inward, turn.T @ [0.0, 0.0, -1.0]])
-    shortest = least_distance(rows, np.append(np.ones(len(inward)), descent))
-    direction = shortest.direction / max(float(np.linalg.norm(shortest.direction)), 1e-300)
-    if not shortest.solved or np.min(inward @ direction) < LEAST_CLEARANCE:
-        raise UnreachableError(
-            f"no hand reaches the contacts of '{gripper.name}' from above; try another seed of the "
-            "plan"
-        )
-    return direction
 
 
 # --- What the drives do ---------------------------------------------------------------------------
