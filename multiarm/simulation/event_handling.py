@@ -71,8 +71,9 @@ ACCUMULATED, ACCUMULATION = 20, 1e-3
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
-# Slips slower than this part of the tolerance are smoothed: they are as small as its errors.
-SMOOTHED = 0.1
+# Slips slower than so many tolerances, which are the accuracy, are smoothed: errors of velocities
+# within a step, too, are as large.
+SMOOTHED = 10.0
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
