@@ -24,7 +24,7 @@ from functools import cached_property
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
-from multiarm.contacts.table import Code, belongs_to_joints, rolls
+from multiarm.contacts.table import Code, is_of_joints, rolls
 from multiarm.dynamics.contact_geometry import block_inertias, force_directions
 from multiarm.dynamics.coordinates import difference, retract
 from multiarm.dynamics.data import Data
@@ -260,7 +260,7 @@ def projection_tolerance(data: Data, size: float | None = None) -> float:
 def rows_of_joints(model: Model) -> np.ndarray:
     """Which rows belong to robots' joints alone, such as couplings: bool (N,)."""
     codes = fields_of(Code, model.constants.contacts.codes[: model.layout.contacts])
-    return belongs_to_joints(codes.kind)
+    return is_of_joints(codes.kind)
 
 
 def _places_of_bases(data: Data) -> np.ndarray:

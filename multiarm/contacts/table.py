@@ -236,7 +236,7 @@ def is_in_closed_form(kind):
 
 @plain
 def is_of_joints(kind):
-    """Whether a row belongs to joints of a robot; of arrays, entry by entry."""
+    """Whether a row belongs to joints alone: it has no place; of arrays, entry by entry."""
     return (kind == JOINT) | (kind == WHEELS)
 
 
@@ -244,11 +244,6 @@ def is_of_joints(kind):
 def rolls(kind):
     """Whether a row constrains velocities only, not positions; of arrays, entry by entry."""
     return (kind == TANGENT) | (kind == WHEELS)
-
-
-def belongs_to_joints(kind):
-    """Whether a row belongs to joints alone: it has no place; of arrays, entry by entry."""
-    return (kind == JOINT) | (kind == WHEELS)
 
 
 def pack(contacts: Sequence[Record]) -> PackedContacts:

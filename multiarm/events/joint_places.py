@@ -63,11 +63,11 @@ class JointPlace:
 
     Attributes
     ----------
-    given : ndarray, shape (4, 4), or None
+    assigned : ndarray, shape (4, 4), or None
         The pose where it has been put, itself; None: where the scene has it.
     """
 
-    given: np.ndarray | None
+    assigned: np.ndarray | None
 
     def __init__(self, data: Data, written: Model, joint: TimedJoint) -> None:
         self._data, self._written, self._joint = data, written, joint
@@ -76,7 +76,7 @@ class JointPlace:
         self._moved = on_object(written.constants.contacts, range(rows.start, rows.stop))
         before = written.frames_on_bodies(name)
         self._turn, self._origin = before.on_object.copy(), before.origin_on_object.copy()
-        self.given = None
+        self.assigned = None
         # from the joint's frame on its second body to that of ``at`` in a scene
         self._of_scene = first.on_object @ _inverse(self._turn, self._origin)
 
@@ -90,23 +90,23 @@ class JointPlace:
         origin = first.origin + first.rotation @ offset[:3, 3]
         origin -= field_of(BodyMotion, "origin", motion)
         self._move(to_body @ first.rotation @ offset[:3, :3], to_body @ origin)
-        self.given = self._seen_by_scene()
+        self.assigned = self._seen_by_scene()
 
     def return_to_scene(self) -> None:
         """Be where the scene has it."""
         self._move(self._turn, self._origin)
-        self.given = None
+        self.assigned = None
 
     @property
     def pose(self) -> np.ndarray:
         """Pose (4, 4) on the second body, as ``at`` of a scene has it."""
-        return self._seen_by_scene() if self.given is None else self.given
+        return self._seen_by_scene() if self.assigned is None else self.assigned
 
     @pose.setter
     def pose(self, pose: np.ndarray) -> None:
         of_body = np.linalg.solve(self._of_scene, pose)
         self._move(of_body[:3, :3] @ self._joint.axes, of_body[:3, 3])
-        self.given = pose
+        self.assigned = pose
 
     def _seen_by_scene(self) -> np.ndarray:
         now = self._data.model.frames_on_bodies(self._joint.connection)

@@ -224,8 +224,11 @@ class Modes:
         return tuple(frame_motion(self.full, name, second=False).origin.tolist())
 
     def is_placed(self, timed: int, pose: np.ndarray | None) -> bool:
-        """Whether a joint that is ``located`` has been placed at a pose, or None: is as written."""
-        return self._places[timed].given is pose
+        """Whether a joint that is ``located`` has been placed at a pose, or None: is as written.
+
+        At this array, not at another one with the same numbers.
+        """
+        return self._places[timed].assigned is pose
 
     def pose_of(self, timed: int) -> np.ndarray:
         """Where a joint that is ``located`` is on its second body, (4, 4)."""

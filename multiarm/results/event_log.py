@@ -30,7 +30,7 @@ from multiarm.results.event_kinds import EventKind
 
 Event = dict[str, Any]
 """An event of a result, see above."""
-ALWAYS_LISTED = (EventKind.ATTACHED, EventKind.DETACHED, EventKind.AT_REST)
+ALWAYS_LISTED = (EventKind.ATTACHED, EventKind.DETACHED)
 MOST_LISTED = 1000
 """Events listed in a result; more are counted."""
 CLAUSE_SEPARATOR = "; "

@@ -156,7 +156,7 @@ class EventHandler:
         """
         layout = self.modes.full.model.layout
         twists = zip(layout.objects, layout.twists(start.velocity), strict=True)
-        # what does not move at the start comes to rest only after it has moved
+        # what lies still at the start does not come to rest there
         self.resting = frozenset(name for name, twist in twists if not twist.any())
         self._schedule = schedule = JointSchedule(self.modes.unilateral, time)
         control = self.modes.full.callbacks.get("control")
