@@ -258,6 +258,9 @@ class _ForwardSolver:
             if jump is not None:
                 self._S, self._error = jump.by_state @ self._S, jump.by_state @ self._error
                 self._S[:, linearised.size :] += jump.by_parameters
+                least = ROUNDING / linearised.tolerance * jump.scale
+                of_parameters = self._sizes[linearised.size :]
+                np.maximum(of_parameters, least, out=of_parameters)
             report(k + 1)
         of_series = (segment_errors / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())
