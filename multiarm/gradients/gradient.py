@@ -80,11 +80,11 @@ class Gradient:
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.run_series`).
     error : float
         Estimated error of the derivatives.  By start and torques: relative to the largest.  By a
-        number of the scene: relative to the integral of its integrand's magnitude over the run, or,
-        where that is a rounding, to what it would be if a change of the number by its size changed
-        the accelerations by theirs.  It contains what the error of the run itself changes: the
-        difference from derivatives along a second run with a tenth of the tolerance
-        (:mod:`multiarm.gradients.linearised_run`).
+        number of the scene: relative to the integral of its integrand's magnitude over the run,
+        with what the start and switches add, or, where that is a rounding, to what it would be if a
+        change of the number by its size changed the accelerations by theirs.  It contains what the
+        error of the run itself changes: the difference from derivatives along a second run with a
+        tenth of the tolerance (:mod:`multiarm.gradients.linearised_run`).
     digits : int
         How many are right, by this error; 0 of a chaotic run that is too long.
     message : str
@@ -235,11 +235,12 @@ def gradient(
     ModelError
         When ``system`` is no system, ``state`` none of its states, or a function returns no number.
     SceneError
-        When a parameter is no number of the scene, or the start jumps with it.
+        When a parameter is no number of the scene, or the time of a switch at the start or the end
+        of the run, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
-        constraints changes, joints take hold or let go at the same time for different reasons, the
-        control is sampled; or when it fails.
+        constraints changes, joints take hold or let go at the same time for different reasons or
+        nearly so, the control is sampled; or when it fails.
     """
     system = require_system(system, "ma.gradient(system, duration)")
     start = None if state is None else system.checked(state)

@@ -55,7 +55,7 @@ class Sensitivities:
         [s]
     matrix : ndarray, shape (K, D, C)
         By the columns: a displacement of the start, of which the part along the joints acts, and
-        the parameters.
+        the parameters.  At the time of a switch they are those before it.
     rows, columns : mapping str -> slice
         Of the matrix; parameters have their paths as names.
     states : list of State
@@ -258,9 +258,6 @@ class _ForwardSolver:
             if jump is not None:
                 self._S, self._error = jump.by_state @ self._S, jump.by_state @ self._error
                 self._S[:, linearised.size :] += jump.by_parameters
-                least = ROUNDING / linearised.tolerance * jump.scale
-                of_parameters = self._sizes[linearised.size :]
-                np.maximum(of_parameters, least, out=of_parameters)
             report(k + 1)
         of_series = (segment_errors / self._sizes).max(axis=1)
         error = max((self._worst / self._sizes).max(), of_series.sum())

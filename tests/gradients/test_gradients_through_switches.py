@@ -205,16 +205,13 @@ def test_errors_of_derivatives_that_come_of_the_start_alone_or_vanish():
     paths = ["joints[1].from", "arms.light.velocity[0]"]
     table = carts(0.4, {"light": RAILS["light"]})
     system = ma.compile_system(parse_scene(table))
-    final = lambda t, state: state.object_position[0]  # noqa: E731
-    g = ma.gradient(system, 0.2, final=final, parameters=paths[1:])
+    along, across = (lambda t, state, i=i: state.object_position[i] for i in (0, 1))
+    g = ma.gradient(system, 0.2, final=along, parameters=paths[1:])
     np.testing.assert_allclose(g.parameters[paths[1]], 0.2 / 4.0, rtol=1e-9)
     assert g.error < 1e-8 and not g.message
-    same_speed = coupling_carts(0.1, speed=0.4)
-    g = ma.gradient(same_speed, 0.2, final=final, parameters=paths[:1])
-    S = ma.sensitivities(same_speed, [0.2], parameters=paths[:1])
-    np.testing.assert_allclose(g.parameters[paths[0]], 0.0, atol=1e-9)
-    for result in (g, S):
-        assert result.error < 1e-6 and not result.message
+    g = ma.gradient(coupling_carts(0.1), 0.2, final=across, parameters=paths)
+    np.testing.assert_allclose([*g.parameters.values()], 0.0, atol=1e-12)
+    assert g.error < 1e-8 and not g.message
 
 
 # --- differences of runs --------------------------------------------------------------------------
