@@ -7,9 +7,14 @@ For :math:`J = \Phi(x(T)) + \int \ell(t, x)\,dt` along the run, and its variatio
     -\dot\mu = A^T \mu + \nabla\ell, \qquad \mu(T) = \nabla\Phi, \qquad
     dJ = \mu(0)\cdot\delta(0) + \int \mu^T (B\,\delta\tau + \beta\,\delta p)\,dt .
 
-Where timed joints take hold or let go, :math:`\delta^+ = J\delta + j\,\delta p`
-(:mod:`multiarm.gradients.switches`), :math:`\mu = J^T\mu^+`, and dJ has the further term
-:math:`\mu^+\cdot j\,\delta p`.
+Where timed joints take hold or let go, :math:`\delta^+ = S\delta + s\,\delta p`
+(:mod:`multiarm.gradients.switches`).  Velocities jump there, and :math:`\ell` with them; a nearby
+motion switches later by :math:`\delta t = d\cdot\delta + e\,\delta p`, and has the integrand before
+the switch so much longer:
+
+.. math::
+    \mu = S^T\mu^+ + (\ell - \ell^+)\,d, \qquad
+    dJ = \dots + (\mu^+\cdot s + (\ell - \ell^+)\,e)\,\delta p .
 
 So one solution, backward in time, gives the derivatives by the whole start, by any number of
 parameters, and by torques at all times, whose density is :math:`B^T\mu`.
@@ -75,11 +80,11 @@ class Gradient:
         The run, sampled at the nodes of series (:mod:`multiarm.gradients.run_series`).
     error : float
         Estimated error of the derivatives.  By start and torques: relative to the largest.  By a
-        number of the scene: relative to the integral of its integrand's magnitude over the run, or,
-        where that is a rounding, to what it would be if a change of the number by its size changed
-        the accelerations by theirs.  It contains what the error of the run itself changes: the
-        difference from derivatives along a second run with a tenth of the tolerance
-        (:mod:`multiarm.gradients.linearised_run`).
+        number of the scene: relative to the integral of its integrand's magnitude over the run,
+        with what the start and switches add, or, where that is a rounding, to what it would be if a
+        change of the number by its size changed the accelerations by theirs.  It contains what the
+        error of the run itself changes: the difference from derivatives along a second run with a
+        tenth of the tolerance (:mod:`multiarm.gradients.linearised_run`).
     digits : int
         How many are right, by this error; 0 of a chaotic run that is too long.
     message : str
@@ -230,11 +235,12 @@ def gradient(
     ModelError
         When ``system`` is no system, ``state`` none of its states, or a function returns no number.
     SceneError
-        When a parameter is no number of the scene, or the start jumps with it.
+        When a parameter is no number of the scene, or the time of a switch at the start or the end
+        of the run, or the start jumps with it.
     SolverError
         When the run is not differentiable: contacts open, close or slide, the rank of the
-        constraints changes, joints take hold or let go at the same time for different reasons, the
-        control is sampled; or when it fails.
+        constraints changes, joints take hold or let go at the same time for different reasons or
+        nearly so, the control is sampled; or when it fails.
     """
     system = require_system(system, "ma.gradient(system, duration)")
     start = None if state is None else system.checked(state)
@@ -326,8 +332,13 @@ class _AdjointSolver:
                     segment_error[k] += added
             self._mu, self._error = segment.basis @ self._mu, segment.basis @ self._error
             report(linearised.count - k)
-        sizes, admissible = self._sizes(self._magnitudes, self._typical), linearised.admissible
         mu, mu_error = self._mu[: linearised.size], self._error[: linearised.size]
+        by_parameters = linearised.start_by_parameters
+        self._integrals[1:] += mu @ by_parameters
+        self._magnitudes[1:] += np.abs(mu @ by_parameters)
+        self._typical[1:] += self._typical_start * np.abs(by_parameters).max(axis=0)
+        self._integral_errors[1:] += mu_error @ by_parameters
+        sizes, admissible = self._sizes(self._magnitudes, self._typical), linearised.admissible
         start = admissible @ mu
         resolved = ROUNDING / linearised.tolerance * self._typical_start
         start_size = float(max(np.abs(start).max(), resolved, TINY))
@@ -342,7 +353,7 @@ class _AdjointSolver:
             value=float(self._integrals[0]),
             start=start,
             start_size=start_size,
-            by_parameters=self._integrals[1:] + mu @ linearised.start_by_parameters,
+            by_parameters=self._integrals[1:],
             sizes=sizes[1:],
             times=np.concatenate([panel.nodes for panel, _ in self._pieces]),
             weights=np.concatenate(weights),
@@ -353,10 +364,14 @@ class _AdjointSolver:
         """From displacements after a switch to those before; None: there is none."""
         if jump is None:
             return
-        self._integrals[1:] += self._mu @ jump.by_parameters
-        self._magnitudes[1:] += np.abs(self._mu @ jump.by_parameters)
+        added = self._mu @ jump.by_parameters, jump.integral_by_parameters
+        self._integrals[1:] += added[0] + added[1]
+        self._magnitudes[1:] += np.abs(added[0]) + np.abs(added[1])
+        self._typical[1:] += self._typical_start * jump.scale
         self._integral_errors[1:] += self._error @ jump.by_parameters
-        self._mu, self._error = self._mu @ jump.by_state, self._error @ jump.by_state
+        self._typical_start += np.abs(jump.integral_by_state).max()
+        self._mu = self._mu @ jump.by_state + jump.integral_by_state
+        self._error = self._error @ jump.by_state
 
     def _change_coordinates(self, segment: Segment) -> None:
         """From displacements at the end of a segment to its coordinates."""

@@ -35,17 +35,13 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SceneError, SolverError
 from multiarm.events.derivatives import derivatives_while
+from multiarm.gradients.course import first_phase
 from multiarm.gradients.interpolation import DEGREES, Series, nodes
 from multiarm.gradients.phase import Phase
 from multiarm.gradients.run_series import ComparisonRun, RunSeries
 from multiarm.gradients.segments import LESSENED, SHORTEST, Panel, Segment
-from multiarm.gradients.switches import (
-    Jump,
-    Switched,
-    SwitchTime,
-    first_phase,
-    is_switch_time,
-)
+from multiarm.gradients.switch_times import SwitchTime, is_switch_time
+from multiarm.gradients.switches import Jump, Slope, Switched
 from multiarm.gradients.variational_equation import (
     Parameter,
     VariationalEquation,
@@ -79,7 +75,6 @@ COARSE = 10.0
 
 Done = Callable[[int], None]
 Parameters = Sequence[str] | Mapping[str, float | None]
-Slope = Callable[[float, State], tuple[float, np.ndarray]]
 
 
 class Solution(Protocol):
@@ -184,12 +179,14 @@ class LinearisedRun:
         if isinstance(parameters, str):
             raise SceneError(f"parameters: expected a list of paths, such as [{parameters!r}]")
         sizes = parameters if isinstance(parameters, Mapping) else dict.fromkeys(parameters)
-        self.parameters = [_parameter(system, path, size) for path, size in sizes.items()]
+        self.parameters = [
+            _parameter(system, path, size, begin, end) for path, size in sizes.items()
+        ]
         self._segments: list[tuple[Panel, int]] = []
         first = first_phase(system, begin)
         of_start = [parameter.of_start(begin, start, first) for parameter in self.parameters]
         self.start_by_parameters = np.reshape(of_start, (-1, self.size)).T
-        self._values: dict[float, VariationalEquation] = {}
+        self._values: dict[tuple[float, Phase], VariationalEquation] = {}
         self._built: dict[tuple[Panel, int], Segment] = {}
         # of segments: the defects of their series, and the errors that they alone may make
         self._segment_errors: dict[tuple[Panel, int], tuple[float, float]] = {}
@@ -269,7 +266,7 @@ class LinearisedRun:
             return None
         phase = phases[self.phase_number(k + 1)]
         assert isinstance(phase, Switched), "only the first phase begins with the run"
-        return phase.jump(self.parameters, self.whole_size)
+        return phase.jump(self.parameters, self.whole_size, self._integrand)
 
     @cached_property
     def _accelerations(self) -> np.ndarray:
@@ -387,11 +384,11 @@ class LinearisedRun:
 
     def _equation_at_node(self, t: float, state: State, phase: Phase) -> VariationalEquation:
         """The equation at a node."""
-        value = self._values.get(t)
+        value = self._values.get((t, phase))
         if value is None:
             value = self.equation_at(t, state, phase)
             if len(self._values) * value.numbers < MOST_KEPT:
-                self._values[t] = value
+                self._values[t, phase] = value
         return value
 
     def equation_at(self, t: float, state: State, phase: Phase) -> VariationalEquation:
@@ -457,10 +454,12 @@ class _ComparisonRun:
         return self._linearised.jump_in(self._phases, k)
 
 
-def _parameter(system: System, path: str, size: float | None) -> Parameter | SwitchTime:
+def _parameter(
+    system: System, path: str, size: float | None, begin: float, end: float
+) -> Parameter | SwitchTime:
     """A number of the scene by which runs are differentiated."""
     if is_switch_time(path) and isinstance(value_at(system.scene, path), float):
-        return SwitchTime(system, path, size)
+        return SwitchTime(system, path, size, begin, end)
     return Parameter(system, path, size)
 
 

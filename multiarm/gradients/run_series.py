@@ -30,10 +30,11 @@ from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.errors import SolverError
+from multiarm.gradients.course import phases, switch_events, unlike
 from multiarm.gradients.interpolation import Series, nodes
 from multiarm.gradients.phase import Phase
 from multiarm.gradients.segments import SHORTEST, Panel
-from multiarm.gradients.switches import SOON, Switched, phases, switch_events
+from multiarm.gradients.switches import SOON, Switched
 from multiarm.gradients.variational_equation import displaced
 from multiarm.results.outcome import RunStatus
 from multiarm.results.trajectory import Trajectory
@@ -156,10 +157,7 @@ class RunSeries:
         accuracy, wanted = sharper * self._accuracy, np.unique([*times, *self._bounds])
         switches = self._switch_times(accuracy)
         if len(switches) != len(self._switches):
-            raise SolverError(
-                "derivatives of a run: joints take hold and let go another number of times in a "
-                "run of another accuracy; end the run earlier, or ask for a smaller `accuracy`"
-            )
+            raise unlike()
         at = wanted
         if switches != self._switches:
             of_run, moved = ([self._begin, *ts, self._end] for ts in (self._switches, switches))

@@ -55,7 +55,7 @@ class Sensitivities:
         [s]
     matrix : ndarray, shape (K, D, C)
         By the columns: a displacement of the start, of which the part along the joints acts, and
-        the parameters.
+        the parameters.  At the time of a switch they are those before it.
     rows, columns : mapping str -> slice
         Of the matrix; parameters have their paths as names.
     states : list of State

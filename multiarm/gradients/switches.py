@@ -15,7 +15,9 @@ delays the switch by
 .. math:: \delta t = -\frac{D_x g\,\delta}{D_t g + D_x g\,f}
 
 (the saltation matrix; R.I. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical
-Systems, 2004, ch. 7).  Gradients follow the transposed map.
+Systems, 2004, ch. 7).  An integral of a function :math:`\ell(t, x)` gains
+:math:`(\ell(x) - \ell(x'))\,\delta t`, as the motion before the switch lasts longer.  Gradients
+follow the transposed map.
 
 *Places.*  A joint without a place of its own holds its bodies where they are at the switch: nearby
 motions are held elsewhere from then on.  With the basis N of displacements that keep the joints
@@ -34,20 +36,20 @@ or postures singular, R has derivatives in these directions only.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from multiarm.assembly.linkage import projection_tolerance
-from multiarm.contacts.unilateral import DRY_JOINT, TimedJoint
+from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import require_ok
 from multiarm.dynamics.sensitivity import Motions, free_bases
 from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
-from multiarm.errors import SceneError, SolverError
+from multiarm.errors import SolverError
 from multiarm.events.derivatives import derivatives_while
 from multiarm.events.evaluation import SLOW, enter_mode_at, modes_of
 from multiarm.events.modes import Modes
@@ -55,6 +57,7 @@ from multiarm.events.row_dynamics import RowDynamics
 from multiarm.events.taking_hold import HeldJoints, hold_placed, switch_everywhere
 from multiarm.geometry.stencils import CENTRAL_4
 from multiarm.gradients.phase import Phase
+from multiarm.gradients.switch_times import SwitchTime
 from multiarm.gradients.variational_equation import (
     PART,
     Nearby,
@@ -67,14 +70,7 @@ from multiarm.gradients.variational_equation import (
     response,
 )
 from multiarm.integration.projection import project
-from multiarm.integration.step_control import shortest_step
 from multiarm.results.contact_states import ContactState
-from multiarm.results.event_kinds import EventKind
-from multiarm.results.trajectory import Trajectory
-from multiarm.scene.changes import parse_path, value_at
-from multiarm.scene.faults import place
-from multiarm.scene.joints.times import When
-from multiarm.simulation.setup import positive
 
 # Newton steps, at most, that put a nearby state on the joints.
 NEWTON_STEPS = 8
@@ -93,6 +89,10 @@ GRAZES = 1e-8
 ROUNDINGS = 1e-9
 
 
+# An integrand, and its derivatives by a displacement of the state.
+Slope = Callable[[float, State], tuple[float, np.ndarray]]
+
+
 class Crossed(NamedTuple):
     """A motion right after a switch."""
 
@@ -107,10 +107,18 @@ class Jump(NamedTuple):
     ----------
     by_state : ndarray, shape (D, D)
     by_parameters : ndarray, shape (D, P)
+    scale : ndarray, shape (P,)
+        What ``by_parameters`` is as a rule: the largest rate of the state, over a parameter's size.
+    integral_by_state : ndarray, shape (D,)
+        What an integral along the run gains; zero without one.
+    integral_by_parameters : ndarray, shape (P,)
     """
 
     by_state: np.ndarray
     by_parameters: np.ndarray
+    scale: np.ndarray
+    integral_by_state: np.ndarray
+    integral_by_parameters: np.ndarray
 
 
 class Switched(Phase):
@@ -314,8 +322,15 @@ class Switched(Phase):
         _, lengths, directions = np.linalg.svd(by_place, full_matrices=False)
         return directions[lengths > SAME_PLACE * max(1.0, lengths.max(initial=0.0))].T
 
-    def jump(self, parameters: Sequence[Parameter | SwitchTime], size: int) -> Jump:
+    def jump(
+        self,
+        parameters: Sequence[Parameter | SwitchTime],
+        size: int,
+        integrand: Slope | None = None,
+    ) -> Jump:
         """The change of displacements of the state and of ``size - 2 nv`` coordinates of places.
+
+        ``integrand`` is that of an integral along the run.
 
         Raises
         ------
@@ -336,18 +351,26 @@ class Switched(Phase):
         rate_before, rate_after = np.zeros((2, size))
         rate_before[:states] = self._rate(self._state, self._before.held(self._system))
         rate_after[:states] = self.rate_after
-        of_time = after @ rate_before - rate_after
-        by_state = after + np.outer(of_time, self._delay(rate_before))
-        by_parameters = np.zeros((size, len(parameters)))
+        of_time, delay = after @ rate_before - rate_after, self._delay(rate_before)
+        by_state = after + np.outer(of_time, delay)
+        by_parameters, delays = np.zeros((size, len(parameters))), np.zeros(len(parameters))
+        largest, scale = np.abs([rate_before, rate_after]).max(), np.zeros(len(parameters))
         for p, parameter in enumerate(parameters):
             if isinstance(parameter, SwitchTime):
                 if parameter.moment in self.moments:
                     self._require_single(parameter)
-                    by_parameters[:, p] = of_time
+                    by_parameters[:, p], delays[p], scale[p] = of_time, 1.0, largest
             elif self._taking:
                 nearby = [self._crossed(system, None) for system in parameter.systems]
                 by_parameters[:states, p] = self._difference(nearby, PART * parameter.size)
-        return Jump(by_state, by_parameters)
+                scale[p] = largest / parameter.size
+        falls = 0.0
+        if integrand is not None:
+            (before, _), (later, _) = (
+                integrand(self.time, state) for state in (self._state, self.after.state)
+            )
+            falls = before - later
+        return Jump(by_state, by_parameters, scale, falls * delay, falls * delays)
 
     def _rate(self, state: State, held: HeldJoints | None) -> np.ndarray:
         """f at a state, (D,)."""
@@ -413,143 +436,6 @@ class Switched(Phase):
                 f"{closed} is closed, which may open or slide at the impact; let it take hold "
                 "where no such contact is closed"
             )
-
-
-class SwitchTime:
-    """A time of the scene at which a joint takes hold or lets go, as a parameter.
-
-    Attributes
-    ----------
-    path : str
-    size : float
-        [s]
-    moment : (int, int)
-        The timed joint, and which of its moments.
-    """
-
-    def __init__(self, system: System, path: str, size: float | None) -> None:
-        value, unilateral = value_at(system.scene, path), system.model.unilateral
-        _, number, key, *pair = parse_path(path)
-        connection = system.scene.joints[int(number)].connection
-        names = [] if unilateral is None else [joint.connection for joint in unilateral.timed]
-        which = 2 * int(pair[0]) + int(pair[1]) if pair else int(key == "until")
-        size = abs(value) or 1.0 if size is None else size
-        self.path, self.moment = path, (names.index(connection), which)
-        self.size = positive(f"parameters[{path!r}]", size)
-        self._value, self._states = value, 2 * system.model.layout.nv
-
-    def of_start(self, t: float, state: State | None, phase: Phase) -> np.ndarray:
-        """The derivative of the start of a run at a time [s]: none.
-
-        Raises
-        ------
-        SceneError
-            When the joint switches at the start itself.
-        """
-        if self._value == t:
-            raise SceneError(
-                f"{place(parse_path(self.path))}: {t:g} s is the start of the run, which is "
-                "assembled with the joints that hold there; name a time after it"
-            )
-        return np.zeros(self._states)
-
-    def at(
-        self, t: float, state: State, motions: Motions, phase: Phase
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The derivatives of a state's rate, and of the state: none between switches."""
-        return np.zeros(2 * state.layout.nv), np.zeros(2 * state.layout.nv)
-
-
-def is_switch_time(path: str) -> bool:
-    """Whether a path is that of a time at which a joint takes hold or lets go."""
-    parts = parse_path(path)
-    return len(parts) > 2 and parts[0] == "joints" and parts[2] in ("from", "until")
-
-
-def first_phase(system: System, begin: float) -> Phase:
-    """What timed joints do from the start of a run at a time [s] on."""
-    unilateral = system.model.unilateral
-    if unilateral is None or not unilateral.timed:
-        return Phase(None)
-    joints = unilateral.holding_at(begin)
-    for k in joints:
-        joint, interval = unilateral.timed[k], unilateral.timed[k].interval_at(begin)
-        assert interval is not None and isinstance(interval.begin, float)
-        if joint.located and interval.begin > 0.0:
-            raise SolverError(
-                f"derivatives of a run from t = {begin:.9g} s: joint '{joint.connection}' has "
-                f"taken hold at {interval.begin:g} s, and holds its bodies where they are in the "
-                "start; begin before that, or give the joint a place, 'at'"
-            )
-    return Phase(joints)
-
-
-def phases(
-    system: System,
-    run: Trajectory,
-    begin: float,
-    state_at: Callable[[float], State],
-    like: Sequence[Phase] = (),
-) -> list[Phase]:
-    """The phases of a run, by the switches among its events.
-
-    ``state_at`` has the states before the switches, at the times of the events; ``like`` are the
-    phases of a run nearby, whose coordinates are to be used.
-    """
-    found, events = [first_phase(system, begin)], switch_events(run)
-    if not events:
-        return found
-    unilateral, joints = system.model.unilateral, found[0].joints
-    assert unilateral is not None and joints is not None, "there are timed joints"
-    timed = unilateral.timed
-    names, passed = [joint.connection for joint in timed], [0] * len(timed)
-    for k, joint in enumerate(timed):
-        passed[k] = sum(isinstance(m, float) and m <= begin for m in joint.moments)
-    groups: dict[float, list[Mapping]] = {}
-    for event in events:
-        groups.setdefault(event["time"], []).append(event)
-    for t, group in groups.items():
-        moments, functions = [], []
-        for event in group:
-            k, attaches = names.index(event["arm"]), event["kind"] == EventKind.ATTACHED.word
-            which = _moment(timed[k], passed[k], attaches, t)
-            passed[k], moment = which + 1, timed[k].moments[which]
-            moments.append((k, which))
-            functions.append(moment.when if isinstance(moment, When) else None)
-            joints = joints | {k} if attaches else joints - {k}
-        if any(function is not functions[0] for function in functions) or t < found[-1].time + SOON:
-            near_events = [event for event in events if abs(event["time"] - t) < SOON]
-            raise SolverError(
-                f"derivatives of a run: at t = {t:.9g} s joints take hold or let go for different "
-                f"reasons ({', '.join(event['text'] for event in near_events)}), and which comes "
-                "first in nearby motions is open; let them be apart, or name the same function"
-            )
-        near = like[len(found)] if like else None
-        assert near is None or isinstance(near, Switched)
-        found.append(
-            Switched(system, found[-1], joints, t, state_at(t), moments, functions[0], near)
-        )
-    return found
-
-
-def switch_events(run: Trajectory) -> list[Mapping]:
-    """The events of a run at which joints take hold or let go."""
-    kinds = EventKind.ATTACHED.word, EventKind.DETACHED.word
-    return [event for event in run.events if event["kind"] in kinds]
-
-
-def _moment(joint: TimedJoint, passed: int, attaches: bool, t: float) -> int:
-    """Which moment of a timed joint has come at a time, at or after those that have passed."""
-    moments, now = joint.moments, t + 2.0 * shortest_step(t)
-    which = passed + (passed % 2 != (not attaches))
-    while which < len(moments):
-        moment = moments[which]
-        end = moments[which + 1] if attaches else math.inf
-        ended = isinstance(end, float) and end <= now
-        if not ended and (not isinstance(moment, float) or abs(moment - t) <= now - t):
-            return which
-        which += 2
-    raise AssertionError("without a controller that commands, joints switch at their moments")
 
 
 def _placed(modes: Modes, t: float, state: State, held: HeldJoints) -> Modes:

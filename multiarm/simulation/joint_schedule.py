@@ -34,9 +34,9 @@ class JointSchedule:
         self._passed = [0 for _ in self._joints]  # moments of each joint
         self.due: set[int] = set()
         for k in range(len(self._joints)):
-            while self._next(k) <= begin:
-                self._passed[k] += 1
-            self._skip(k, begin)
+            while self._due_time(k) <= begin:
+                self._passed[k] += self._next(k) <= begin
+                self._skip(k, begin)
 
     @property
     def holding(self) -> frozenset[int]:
@@ -82,6 +82,17 @@ class JointSchedule:
             self._passed[k] += 1
         self.due.discard(k)
         self._skip(k, now)
+
+    def pass_switch(self, k: int, t: float) -> int:
+        """Let a joint be switched at a time [s] at which a run without commands has switched it.
+
+        Returns which of its moments has come.
+        """
+        self._skip(k, t - 2.0 * shortest_step(t))
+        which = self._passed[k]
+        self.due.add(k)
+        self.pass_moment(k, t)
+        return which
 
     def touched(self, closed: Iterable[int]) -> None:
         """Let the moments come that wait for one of these constraints to close."""

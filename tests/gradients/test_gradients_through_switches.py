@@ -1,7 +1,8 @@
 """Claims about derivatives of runs in which joints take hold and let go.
 
 Oracles: closed forms of carts that couple; Richardson's differences of runs of accuracy 1e-11; each
-of the two directions, forward and backward, for the other.
+of the two directions, forward and backward, for the other.  An integral of velocities is a change
+of places, which do not jump.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from timed_scenes import FALL, Table, carts, last_state, objects_on_rails, pendu
 
 import multiarm as ma
 from multiarm.errors import SceneError, SolverError
+from multiarm.gradients.course import phases
+from multiarm.gradients.linearised_run import LinearisedRun
 from multiarm.gradients.variational_equation import closing_of, displaced, displacement
 from multiarm.scene import parse_scene
 from multiarm.scene.changes import value_at
@@ -44,25 +47,31 @@ def richardson(change, step):
     return (4.0 * near - far) / 3.0
 
 
-def check(table: Table, duration: float, paths: list[str], step: float = 1e-3) -> Any:
-    """Sensitivities of the end, after a comparison with differences and with gradients."""
+def check(
+    table: Table, duration: float, paths: list[str], step: float = 1e-3, put: bool = False
+) -> Any:
+    """Sensitivities of the end, after a comparison with differences and with gradients.
+
+    ``put``: a joint puts nearby motions on it, whose places jump, so that they are no integrals.
+    """
     scene = parse_scene(table)
     system = ma.compile_system(scene)
+    start = system.initial_state()
     S = ma.sensitivities(system, [duration], parameters=paths, accuracy=ACCURACY)
     end, matrix, size = S.states[0], S.matrix[0], len(S.matrix[0])
 
-    def by_number(path):
+    def by_number(path, at_end=True):
         value = value_at(scene, path)
 
         def change(shift):
             other = ma.compile_system(scene.replace({path: value + shift}), like=system)
-            return displacement(end, end_of(other, duration))
+            if at_end:
+                return displacement(end, end_of(other, duration))
+            return displacement(start, other.initial_state())
 
         return richardson(change, step)
 
     def by_start(direction):
-        start = system.initial_state()
-
         def change(shift):
             moved = end_of(system, duration, displaced(start, shift * direction))
             return displacement(end, moved)
@@ -79,11 +88,27 @@ def check(table: Table, duration: float, paths: list[str], step: float = 1e-3) -
     along_joints = ma.derivatives(system).motions.admissible()
     direction = along_joints @ rng.standard_normal(size)
     same(matrix[:, :size] @ direction, by_start(direction))
-    weights = rng.standard_normal(size)
+    weights, along = rng.standard_normal((2, size))
+    moving = np.zeros(size, bool)  # places whose rates are the velocities
+    moving[S.rows["joint_positions"]] = moving[S.rows["object_pose"]] = True
+    for turn in system.model.layout.turns:
+        moving[system.model.layout.displacement_columns[turn]] = False
+    of_places = np.where(moving & (not put), along, 0.0)
+
+    def speed(t, state):
+        slope, layout = np.zeros(size), state.layout
+        slope[layout.velocity_columns] = of_places[layout.displacement_columns]
+        return float(slope[layout.velocity_columns] @ state.velocity), slope
+
     g = ma.gradient(
-        system, duration, final=lambda t, state: (0.0, weights), parameters=paths, accuracy=ACCURACY
-    )
-    forward, backward = weights @ matrix, [*g.start.matrix, *g.parameters.values()]
+        system, duration, final=lambda t, state: (0.0, weights), running=speed, parameters=paths,
+        accuracy=ACCURACY,
+    )  # fmt: skip
+    of_start = np.array([by_number(path, at_end=False) for path in paths]).reshape(-1, size).T
+    begin = np.hstack([along_joints, of_start])
+    forward = weights @ matrix + of_places @ (matrix - begin)
+    backward = [*g.start.matrix, *g.parameters.values()]
+    np.testing.assert_allclose(g.value, of_places @ displacement(start, end), atol=1e-8)
     tolerance = max(DIRECTIONS, S.error + g.error)
     np.testing.assert_allclose(
         backward, forward, rtol=tolerance, atol=tolerance * np.abs(forward).max()
@@ -124,6 +149,69 @@ def test_carts_that_couple():
     np.testing.assert_allclose(by_cart[[pose, twist]], [expected[0][2], expected[1][2]], atol=1e-9)
     place = S.matrix[1][S.rows["joint_positions"].start + cart, columns[2]]
     np.testing.assert_allclose(place, couples + left * heavy / total, atol=1e-9)
+
+
+RAILS: Table = {
+    "light": {"mass": 1.0, "velocity": 0.4, "x": -0.3},
+    "heavy": {"mass": 2.0, "velocity": -0.7, "x": 0.5},
+}
+
+
+def coupling_carts(begin: Any, speed: float = -0.7, **more: Any) -> ma.System:
+    """A light cart with the object of 3 kg at 0.4 m/s, and a heavy one that couples to it."""
+    heavy = RAILS["heavy"] | {"velocity": speed, "joint": {"from": begin, **more}}
+    return ma.compile_system(parse_scene(carts(0.4, RAILS | {"heavy": heavy})))
+
+
+def velocity(t, state):
+    """Of the object along x."""
+    return state.object_twist[0]
+
+
+COUPLED = (4.0 * 0.4 - 2.0 * 0.7) / 6.0
+"""The speed of the carts that have coupled [m/s]."""
+
+
+def test_an_integral_of_what_jumps_by_the_time_of_the_switch():
+    """The mean speed: it is the first one for longer."""
+    paths = ["joints[1].from", "arms.heavy.velocity[0]"]
+    g = ma.gradient(coupling_carts(0.2), 0.3, running=velocity, parameters=paths, accuracy=ACCURACY)
+    np.testing.assert_allclose(g.value, 0.4 * 0.2 + COUPLED * 0.1, atol=1e-12)
+    np.testing.assert_allclose([*g.parameters.values()], [0.4 - COUPLED, 0.1 / 3.0], atol=1e-10)
+    np.testing.assert_allclose(g.start.matrix[0], 0.0, atol=1e-10)
+
+
+def test_an_integral_of_what_jumps_where_a_function_tells_when():
+    """As the object comes to 0.08 m, which it does earlier from nearer or with more speed."""
+    system = coupling_carts({"when": lambda t, state: 0.08 - state.object_position[0]})
+    g = ma.gradient(system, 0.3, running=velocity, accuracy=ACCURACY)
+    layout, kept = system.model.layout, ma.derivatives(system).motions.admissible()
+    shift = np.zeros(len(kept))
+    places = np.flatnonzero(kept[0])  # the object and the light cart
+    shift[places] = 1.0
+    np.testing.assert_allclose(g.start.matrix @ shift, -(0.4 - COUPLED) / 0.4, atol=1e-10)
+    faster = np.zeros(len(kept))
+    faster[layout.velocity_columns] = shift[layout.displacement_columns]
+    left = 0.1 * 4.0 / 6.0
+    np.testing.assert_allclose(g.start.matrix @ faster, left + COUPLED * 0.2 / 0.4, atol=1e-10)
+    light = list(layout.names).index("light")
+    before = g.times < 0.2
+    expected = (left + COUPLED * (0.2 - g.times[before]) / 0.4) / 4.0
+    np.testing.assert_allclose(g.torque_density[before, light], expected, atol=1e-10)
+
+
+def test_errors_of_derivatives_that_come_of_the_start_alone_or_vanish():
+    """Without forces nothing else tells what size they have."""
+    paths = ["joints[1].from", "arms.light.velocity[0]"]
+    table = carts(0.4, {"light": RAILS["light"]})
+    system = ma.compile_system(parse_scene(table))
+    along, across = (lambda t, state, i=i: state.object_position[i] for i in (0, 1))
+    g = ma.gradient(system, 0.2, final=along, parameters=paths[1:])
+    np.testing.assert_allclose(g.parameters[paths[1]], 0.2 / 4.0, rtol=1e-9)
+    assert g.error < 1e-8 and not g.message
+    g = ma.gradient(coupling_carts(0.1), 0.2, final=across, parameters=paths)
+    np.testing.assert_allclose([*g.parameters.values()], 0.0, atol=1e-12)
+    assert g.error < 1e-8 and not g.message
 
 
 # --- differences of runs --------------------------------------------------------------------------
@@ -233,7 +321,7 @@ def test_a_joint_whose_frames_meet_at_one_time_only():
     catcher = {"catcher": arm("xz", mass=0.8, base={"xyz": [place[0], 0.0, place[2] + drop]})}
     grip = {"arm": "catcher", "name": "grip", "kind": "ball", "at": {}, "from": begin}
     table = pendulum(angle, rate, rider | catcher, [{"arm": "rider", "kind": "weld"}, grip])
-    check(table, 0.3, ["joints[2].from"], step=2e-5)
+    check(table, 0.3, ["joints[2].from"], step=2e-5, put=True)
 
 
 def test_bodies_that_turn():
@@ -288,9 +376,53 @@ def test_a_joint_that_has_taken_hold_before_the_start():
     refuse(handed_over(), 0.8, "'b'", "0.3 s", start_time=0.35)
 
 
-def test_a_time_at_the_start():
-    table = handed_over(b={"from": 0.0})
-    refuse(table, 0.2, "joints[1].from", error=SceneError, paths=["joints[1].from"])
+@pytest.mark.parametrize("late", [0.0, 1e-13], ids=["exactly", "nearly"])
+def test_a_time_at_the_start_or_the_end(late):
+    """No step leads from a time to one that is so near."""
+    for begin, duration in ((0.1 + late, 0.2), (0.3 + late, 0.2), (0.3 - late, 0.2)):
+        system = coupling_carts(begin, at={"xyz": [0.5, 0, 0]})
+        with refused(SceneError, "joints[1].from"):
+            ma.gradient(
+                system, duration, final=ahead, parameters=["joints[1].from"], start_time=0.1
+            )
+
+
+@pytest.mark.parametrize("start_time", [0.0, 1.5])
+def test_a_joint_that_lets_go_and_takes_hold_at_once(start_time):
+    """Its next interval has begun when a function lets it go."""
+    end = start_time + 0.17
+    pairs = [[0, {"when": lambda t, state: end - t}], [max(0.1, start_time - 0.5), end + 0.13]]
+    rails = RAILS | {"light": RAILS["light"] | {"joint": {"from": pairs}}}
+    refuse(carts(0.4, rails), 0.2, "'light'", f"{end:g} s", start_time=start_time)
+
+
+def test_switches_that_are_too_near_to_each_other():
+    table = handed_over(a={"until": 0.3 + 2e-9})
+    refuse(table, 0.5, "0.3 s", "2.0e-09 s", "b: attached", "a: detached")
+
+
+def test_a_nearby_run_with_other_switches():
+    """Its phases are none that could be compared, however many times there are."""
+    system = ma.compile_system(parse_scene(handed_over()))
+    run = ma.simulate(system, 0.6, accuracy=1e-9)
+
+    def at(t):
+        return system.initial_state()
+
+    ours = phases(system, run, 0.0, at)
+    assert [phase.time for phase in phases(system, run, 0.0, at, ours)] == [-math.inf, 0.3, 0.5]
+    for like in (ours[:2], [*ours, ours[1]], [ours[0], ours[2], ours[1]]):
+        with refused(SolverError):
+            phases(system, run, 0.0, at, like)
+
+
+def test_matrices_are_kept_by_phase():
+    """At the time of a switch both phases have a node where time has no more digits."""
+    system = coupling_carts(0.2)
+    linearised = LinearisedRun(system, 0.0, 0.3, 1e-9, None, (), np.zeros(0))
+    state, (first, second) = linearised.state(0.0), linearised._run.phases
+    free, coupled = (linearised._equation_at_node(0.2, state, p).motions for p in (first, second))
+    assert len(coupled.constraint) > len(free.constraint)
 
 
 def test_a_function_that_grazes_zero():
