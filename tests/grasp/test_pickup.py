@@ -6,9 +6,12 @@ closed form; wrenches from places in the world; linear programs on them; runs.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from refusals import refused
+from repository import ROOT
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -48,10 +51,16 @@ def block():
 
 
 @pytest.fixture(scope="module")
-def system(block, tmp_path_factory):
+def scene(block, tmp_path_factory):
     """The block between two UR5s."""
     table = tmp_path_factory.mktemp("pickup") / "references.csv"
-    return ma.compile_system(block.to_scene(["ur5", "ur5"], table=table, mass=5.0, lift=0.1))
+    return block.to_scene(["ur5", "ur5"], table=table, mass=5.0, lift=0.1)
+
+
+@pytest.fixture(scope="module")
+def system(scene):
+    """The block between two UR5s."""
+    return ma.compile_system(scene)
 
 
 @pytest.fixture(scope="module")
@@ -369,6 +378,27 @@ def test_arms_that_do_not_fit_are_refused(block, tmp_path):
     with pytest.raises(GraspError, match="_joint"):  # which one is too weak depends on the plan
         block.to_scene(["ur5", "ur5"], table=table, mass=60.0)
     assert not table.exists()
+
+
+def test_the_scene_of_the_gallery_is_of_the_kind_that_a_plan_makes_now(block, scene):
+    # contacts, and where arms stand, come from searches that depend on the processor
+    shown = ma.load_scene(ROOT / "examples" / "scenes" / "pick_up_block.yaml")
+    assert (shown.gravity, shown.object, shown.effects, shown.run) == (
+        scene.gravity, scene.object, scene.effects, scene.run,
+    )  # fmt: skip
+    files = [shown.control.file, scene.control.file]
+    assert shown.control == scene.control.model_copy(update={"file": files[0]})
+    tables = [Path(shown.folder, file).read_text().splitlines() for file in files]
+    assert tables[0][0] == tables[1][0]
+    times = [[row.split(",")[0] for row in table] for table in tables]
+    assert times[0] == times[1]
+    assert sum(len(joint.contacts) for joint in shown.joints) == len(block.grasp.contacts)
+    radii = {(bool(j.intervals), c.arm.sphere.radius) for j in shown.joints for c in j.contacts}
+    assert radii == {
+        (bool(j.intervals), c.arm.sphere.radius) for j in scene.joints for c in j.contacts
+    }
+    begins = {joint.intervals[0].begin for joint in shown.joints if joint.intervals}
+    assert begins == {joint.intervals[0].begin for joint in scene.joints if joint.intervals}
 
 
 # --- runs -----------------------------------------------------------------------------------------
