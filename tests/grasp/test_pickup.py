@@ -266,6 +266,23 @@ def test_contacts_that_some_smaller_tilt_reaches_are_not_called_impossible():
     assert list(closed.values()) == [True, False, False]
 
 
+def test_contacts_that_only_a_larger_tilt_reaches_are_not_called_impossible():
+    body = Polyhedron.hull(
+        [[-0.2, 0.0, 0.05], [0.15, 0.05, 0.15], [0.0, -0.15, 0.1], [0.05, 0, 0.05]]
+    )
+    with refused(PickupError) as error:
+        plan_pickup(body, finger=0.06, gripper_size=2e-3, tip_radius=1e-4)
+    unproven = [r for r in error.value.refusals if r.edge is not None and r.motion is None]
+    closed = [
+        [
+            closes(*pushes_at(refusal, laid_on_face(body), angle, 0.06)[:2])
+            for angle in np.radians([30.0, 40.0])
+        ]
+        for refusal in unproven
+    ]
+    assert [False, True] in closed
+
+
 def test_a_motion_that_no_tilt_prevents_proves_a_refusal():
     body = Polyhedron.hull(
         [[-0.05, 0.15, 0.05], [-0.05, -0.05, -0.1], [0.15, 0.2, 0.05], [-0.1, -0.2, -0.15]]
