@@ -1,4 +1,4 @@
-"""Ten fingers turn a prism by twice as much as one grip allows: six let go in turns, and come back.
+"""Ten fingers turn a prism farther than one grip reaches: six let go in turns, and come back.
 
 No fingertip has friction.  Four hold the prism from below and above, two on each of its three faces
 turn it by 30 degrees.  Then one after the other leaves its face, goes back and takes hold again

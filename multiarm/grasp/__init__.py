@@ -62,6 +62,7 @@ from multiarm.grasp.forces.load_maps import (
 )
 from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.optimisation import OptimisedGrasp, optimise_grasp
+from multiarm.grasp.pickup.lying_body import LyingBody, PivotEdge
 from multiarm.grasp.pickup.phases import PickupError, PickupPhase, PickupRefusal
 from multiarm.grasp.pickup.plan import PickupPlan
 from multiarm.grasp.pickup.planning import plan_pickup
@@ -120,6 +121,7 @@ __all__ = [
     "Independence",
     "LiftableMap",
     "LoadCapacity",
+    "LyingBody",
     "ManyClosures",
     "MassProperties",
     "ObjectFrame",
@@ -129,6 +131,7 @@ __all__ = [
     "PickupPhase",
     "PickupPlan",
     "PickupRefusal",
+    "PivotEdge",
     "Polyhedron",
     "Roundness",
     "ThreeMoments",

@@ -23,9 +23,25 @@ def number_of(
     value: Any, needed: str, *, above: float = -math.inf, at_least: float = -math.inf
 ) -> float:
     """A finite number within its bounds; else a GraspError that begins with ``needed``."""
-    if not (is_finite(value) and value > above and value >= at_least):
+    if isinstance(value, bool) or not (is_finite(value) and value > above and value >= at_least):
         raise GraspError(f"{needed}, not {value!r}")
     return float(value)
+
+
+def generator_of(value: Any, name: str) -> np.random.Generator:
+    """The generator of random numbers that is passed, or the one of a seed.
+
+    Raises
+    ------
+    GraspError
+        It is neither; the message begins with ``name``.
+    """
+    try:
+        return np.random.default_rng(value)
+    except (TypeError, ValueError) as error:
+        raise GraspError(
+            f"{name} is an integer of at least 0 or a generator, not {value!r}"
+        ) from error
 
 
 def numbers_of(values: Any, needed: str, *shapes: Shape, infinite: bool = False) -> np.ndarray:

@@ -6,16 +6,20 @@ closed form; wrenches from places in the world; linear programs on them; runs.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from refusals import refused
+from repository import ROOT
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
 import multiarm as ma
-from multiarm.errors import GraspError
+from multiarm.errors import GraspError, SceneError
 from multiarm.grasp import Contacts, PickupError, Polyhedron, plan_pickup
-from multiarm.grasp.pickup.lying_body import lying, reached_part
+from multiarm.grasp.pickup.course import HELD, PickupCourse
+from multiarm.grasp.pickup.lying_body import laid_on_face, reached_part
 from multiarm.grasp.pickup.tilting import all_pushes, carried, floor_contacts, weakest_force
 
 SIZE = np.array([0.4, 0.3, 0.3])
@@ -26,7 +30,7 @@ ROUNDING = 1e-9
 
 def edge_of(body, beside):
     """A body on the floor, and the edge with one of its faces."""
-    lies = lying(body)
+    lies = laid_on_face(body)
     (edge,) = [edge for edge in lies.edges() if body.names[edge.beside] == beside]
     return lies, edge
 
@@ -47,10 +51,16 @@ def block():
 
 
 @pytest.fixture(scope="module")
-def system(block, tmp_path_factory):
+def scene(block, tmp_path_factory):
     """The block between two UR5s."""
     table = tmp_path_factory.mktemp("pickup") / "references.csv"
-    return ma.compile_system(block.to_scene(["ur5", "ur5"], table=table, mass=5.0, lift=0.1))
+    return block.to_scene(["ur5", "ur5"], table=table, mass=5.0, lift=0.1)
+
+
+@pytest.fixture(scope="module")
+def system(scene):
+    """The block between two UR5s."""
+    return ma.compile_system(scene)
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +183,7 @@ def test_corners_that_lie_on_the_floor_are_those_of_the_phase(block):
 
 def test_a_body_lies_on_a_face_that_carries_it():
     body = Polyhedron.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.9, 0.9, 1.0]])
-    lies = lying(body)
+    lies = laid_on_face(body)
     heights = lies.at(body.vertices)[:, 2]
     assert heights.min() > -ROUNDING and np.sum(heights < ROUNDING) == 3
     assert lies.at(body.centre)[:2] == pytest.approx(0.0, abs=ROUNDING)
@@ -203,7 +213,7 @@ def test_a_flat_pyramid_is_refused_with_a_motion_that_proves_it():
         plan_pickup(body)
     lifting = [refusal for refusal in error.value.refusals if refusal.edge is not None]
     assert len(lifting) == 4
-    lies = lying(body)
+    lies = laid_on_face(body)
     for refusal in lifting:
         # pushes at every corner of every side, and the floor at the edge
         for face in body.faces[:4]:
@@ -215,6 +225,92 @@ def test_a_flat_pyramid_is_refused_with_a_motion_that_proves_it():
             assert lies.pose[2, :3] @ velocity <= ROUNDING
         velocity = refusal.motion[:3] + np.cross(refusal.motion[3:], body.centre)
         assert lies.pose[2, :3] @ velocity > 0.01
+
+
+def pushes_at(refusal, lies, angle, finger):
+    """Points (N, 3) and inward normals (N, 3) that fingers reach at a tilt, the late ones last."""
+    body, steps = lies.body, np.arange(61) / 60
+    share = np.array([[a, b, 1.0 - a - b] for a in steps for b in steps if a + b < 1.0 + ROUNDING])
+    points = [], []
+    for k, face in enumerate(body.faces):
+        for u, v in zip(face.vertices[1:], face.vertices[2:], strict=False):
+            spots = share @ np.array([face.vertices[0], u, v])
+            heights = tilted(refusal.edge, angle, lies.at(spots))[:, 2]
+            reached = heights >= finger
+            if k != lies.face:
+                reached &= lies.at(spots)[:, 2] >= finger
+            points[k == lies.face].extend((spot, -face.normal) for spot in spots[reached])
+    early, late = points
+    p, e = (np.reshape([pair[k] for pair in early + late], (-1, 3)) for k in (0, 1))
+    return p, e, len(early)
+
+
+def closes(points, normals):
+    """Whether pushes close a body: rank six, and positive forces in balance."""
+    W = np.vstack([normals.T, np.cross(points, normals).T])
+    balanced = linprog(np.ones(len(points)), A_eq=W, b_eq=np.zeros(6), bounds=(1.0, None))
+    return bool(np.linalg.matrix_rank(W) == 6 and balanced.success)
+
+
+def test_contacts_that_some_smaller_tilt_reaches_are_not_called_impossible():
+    body = Polyhedron.hull(
+        [[-0.15, 0.1, 0.0], [0.15, -0.15, 0.0], [-0.05, 0.0, 0.15], [-0.05, 0.1, -0.05]]
+    )
+    with refused(PickupError) as error:
+        plan_pickup(body)
+    (refusal,) = [r for r in error.value.refusals if r.edge is not None and r.motion is None]
+    closed = {
+        angle: closes(*pushes_at(refusal, laid_on_face(body), np.radians(angle), 0.03)[:2])
+        for angle in (22.0, 30.0, np.degrees(refusal.edge.limit))
+    }
+    assert list(closed.values()) == [True, False, False]
+
+
+def test_contacts_that_only_a_larger_tilt_reaches_are_not_called_impossible():
+    body = Polyhedron.hull(
+        [[-0.2, 0.0, 0.05], [0.15, 0.05, 0.15], [0.0, -0.15, 0.1], [0.05, 0, 0.05]]
+    )
+    with refused(PickupError) as error:
+        plan_pickup(body, finger=0.06, gripper_size=2e-3, tip_radius=1e-4)
+    unproven = [r for r in error.value.refusals if r.edge is not None and r.motion is None]
+    closed = [
+        [
+            closes(*pushes_at(refusal, laid_on_face(body), angle, 0.06)[:2])
+            for angle in np.radians([30.0, 40.0])
+        ]
+        for refusal in unproven
+    ]
+    assert [False, True] in closed
+
+
+def test_a_motion_that_no_tilt_prevents_proves_a_refusal():
+    body = Polyhedron.hull(
+        [[-0.05, 0.15, 0.05], [-0.05, -0.05, -0.1], [0.15, 0.2, 0.05], [-0.1, -0.2, -0.15]]
+    )
+    with refused(PickupError) as error:
+        plan_pickup(body)
+    lies, of_all_tilts = laid_on_face(body), 0
+    for refusal in error.value.refusals:
+        if refusal.edge is None or refusal.motion is None:
+            continue
+        v, w = refusal.motion[:3], refusal.motion[3:]
+        up = lies.pose[2, :3] @ (v + np.cross(w, body.centre))
+        leaves = True
+        for angle in np.linspace(0.0, refusal.edge.limit, 12):
+            points, normals, early = pushes_at(refusal, lies, angle, 0.03)
+            work = np.sum(normals * (v + np.cross(w, points)), axis=1)
+            leaves &= work.min() > -ROUNDING
+            # no push opposes the motion, or those that tilt do no work in it while the weight rises
+            assert leaves or (work[:early].max() < ROUNDING and up > 0.0)
+        of_all_tilts += leaves
+    assert of_all_tilts == 2
+
+
+def test_a_body_below_a_finger_has_no_free_face():
+    with refused(PickupError) as error:
+        plan_pickup(Polyhedron.box([0.02, 0.02, 0.02]))
+    assert len(error.value.refusals) == 5
+    assert all(refusal.motion is None for refusal in error.value.refusals)
 
 
 def test_a_floor_too_near_is_named():
@@ -233,7 +329,11 @@ def test_a_floor_too_near_is_named():
         (Polyhedron.hull([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.9, 0.9, 1.0]]), {"face": 3}),
         (Polyhedron.box(SIZE), {"face": "bottom"}),
         (Polyhedron.box(SIZE), {"face": 6}),
+        (Polyhedron.box(SIZE), {"face": True}),
         (Polyhedron.box(SIZE), {"finger": 0.0}),
+        (Polyhedron.box(SIZE), {"finger": True}),
+        (Polyhedron.box(SIZE), {"rng": -1}),
+        (Polyhedron.box(SIZE), {"rng": "x"}),
         (Polyhedron.box(SIZE), {"gripper_size": -1.0}),
     ],
 )
@@ -248,6 +348,46 @@ def test_a_body_that_is_not_convex_is_refused():
         plan_pickup(Polyhedron.prism(around, 0.2))
 
 
+def test_a_number_of_numpy_names_a_face():
+    assert laid_on_face(Polyhedron.box(SIZE), np.int64(2)).face == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"table": None},
+        {"table": "missing/references.csv"},
+        {"table": "."},
+        {"arms": "ur5"},
+        {"arms": None},
+        {"arms": [None, "ur5"]},
+        {"arms": ["ur5", "nobody"]},
+        {"seed": -1},
+        {"duration": 0.005},
+        {"accuracy": -1.0},
+        {"lift": True},
+        {"lift": 0.02},
+        {"name": 5},
+    ],
+    ids=str,
+)
+def test_a_scene_that_cannot_be_is_refused_and_no_table_written(
+    block, tmp_path, monkeypatch, change
+):
+    monkeypatch.chdir(tmp_path)
+    with refused(SceneError if {"name"} & {*change} or "nobody" in str(change) else GraspError):
+        block.to_scene(**{"table": "references.csv", **change})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fingers_below_stay_clear_of_the_floor_at_the_least_lift(block):
+    course = PickupCourse(block, 5.0, block.finger, 4.5)
+    below = block.grasp.contacts.points[list(block.late)]
+    for t in np.linspace(HELD * 4.5, 4.5, 50):
+        pose = course.at(t).pose
+        assert (below @ pose[2, :3] + pose[2, 3]).min() > block.finger - ROUNDING
+
+
 def test_arms_that_do_not_fit_are_refused(block, tmp_path):
     table = tmp_path / "references.csv"
     with refused(GraspError):
@@ -255,6 +395,27 @@ def test_arms_that_do_not_fit_are_refused(block, tmp_path):
     with pytest.raises(GraspError, match="_joint"):  # which one is too weak depends on the plan
         block.to_scene(["ur5", "ur5"], table=table, mass=60.0)
     assert not table.exists()
+
+
+def test_the_scene_of_the_gallery_is_of_the_kind_that_a_plan_makes_now(block, scene):
+    # contacts, and where arms stand, come from searches that depend on the processor
+    shown = ma.load_scene(ROOT / "examples" / "scenes" / "pick_up_block.yaml")
+    assert (shown.gravity, shown.object, shown.effects, shown.run) == (
+        scene.gravity, scene.object, scene.effects, scene.run,
+    )  # fmt: skip
+    files = [shown.control.file, scene.control.file]
+    assert shown.control == scene.control.model_copy(update={"file": files[0]})
+    tables = [Path(shown.folder, file).read_text().splitlines() for file in files]
+    assert tables[0][0] == tables[1][0]
+    times = [[row.split(",")[0] for row in table] for table in tables]
+    assert times[0] == times[1]
+    assert sum(len(joint.contacts) for joint in shown.joints) == len(block.grasp.contacts)
+    radii = {(bool(j.intervals), c.arm.sphere.radius) for j in shown.joints for c in j.contacts}
+    assert radii == {
+        (bool(j.intervals), c.arm.sphere.radius) for j in scene.joints for c in j.contacts
+    }
+    begins = {joint.intervals[0].begin for joint in shown.joints if joint.intervals}
+    assert begins == {joint.intervals[0].begin for joint in scene.joints if joint.intervals}
 
 
 # --- runs -----------------------------------------------------------------------------------------

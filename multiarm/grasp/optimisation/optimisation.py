@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import number_of, numbers_of
+from multiarm.grasp.arguments import generator_of, number_of, numbers_of
 from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.closure.form_closure import is_form_closure
@@ -172,7 +172,7 @@ def optimise_grasp(
         nodes=nodes,
         until=None if seconds is None else started + seconds,
     )
-    generator = np.random.default_rng(rng)
+    generator = generator_of(rng, "rng")
     with displayed(progress, Progress) as show:
         choices = face_choices(regions, fingers)
         if not len(choices):

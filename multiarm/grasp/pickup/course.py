@@ -42,11 +42,11 @@ from multiarm.errors import GraspError
 from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.pickup.phases import GRIP, LIFT, TILT, PhasedPickup
 from multiarm.grasp.pickup.tilting import UP, floor_contacts
+from multiarm.grasp.scenes import GRAVITY
 from multiarm.spatial import quaternion_to_matrix
 
 # Rest before anything happens, too.
 RESTED, GRIPPED, TILTED, HELD, CLOSED, LIFTED = 0.02, 0.1, 0.45, 0.47, 0.62, 0.95
-GRAVITY = 9.81  # [m/s^2]
 
 
 class ObjectMotion(NamedTuple):
@@ -138,7 +138,7 @@ class PickupCourse:
         pushes = contacts.subset(phase.contacts)
         if phase.floor:
             pushes = pushes.joined(floor_contacts(body, motion.pose, phase.floor))
-        weight = self.mass * GRAVITY
+        weight = self.mass * abs(GRAVITY[2])
         shares = distribute_forces(
             pushes, self._wrench(motion), minimum=plan.least * weight, objective="norm"
         )
@@ -154,7 +154,7 @@ class PickupCourse:
     def _wrench(self, motion: ObjectMotion) -> np.ndarray:
         """What the contacts exert, (6,) in the body's frame about its origin [N, N m]."""
         body, R = self.plan.lies.body, motion.pose[:3, :3]
-        force = self.mass * R.T @ (motion.acceleration[:3] + GRAVITY * UP)
+        force = self.mass * R.T @ (motion.acceleration[:3] - np.array(GRAVITY))
         inertia = body.mass_properties(self.mass).inertia
         omega, alpha = R.T @ motion.twist[3:], R.T @ motion.acceleration[3:]
         moment = inertia @ alpha + np.cross(omega, inertia @ omega)

@@ -22,7 +22,7 @@ DESCENTS = (0.3, 0.7, 1.5)
 def approach_from_above(
     inward: np.ndarray, down: np.ndarray, descent: float = DESCENTS[0]
 ) -> np.ndarray | None:
-    """The unit vector (3,) along which a hand comes to faces, None where it clears them not.
+    """The unit vector (3,) along which a hand comes to faces, None where it does not clear them.
 
     Parameters
     ----------

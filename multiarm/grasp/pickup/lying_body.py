@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 
@@ -135,7 +136,7 @@ class LyingBody:
         return edges
 
 
-def lying(body: Polyhedron, face: int | str | None = None) -> LyingBody:
+def laid_on_face(body: Polyhedron, face: int | str | None = None) -> LyingBody:
     """A body on the floor, turned as little as can be so that one of its faces is down.
 
     Parameters
@@ -183,8 +184,8 @@ def _falls_over(lies: LyingBody) -> PivotEdge | None:
 def _face_number(body: Polyhedron, face: int | str) -> int:
     if isinstance(face, str) and body.names.count(face) == 1:
         return body.names.index(face)
-    if isinstance(face, int) and not isinstance(face, bool) and face in range(len(body.faces)):
-        return face
+    if isinstance(face, Integral) and not isinstance(face, bool) and face in range(len(body.faces)):
+        return int(face)
     raise GraspError(
         f"face is a number from 0 to {len(body.faces) - 1} or a name, not {face!r}; faces are "
         f"{', '.join(body.names)}"

@@ -93,9 +93,9 @@ class PickupRefusal:
         About which it would be tilted; None: without tilting.
     reason : str
     motion : ndarray, shape (6,), or None
-        Where no pushes at all on the free faces would do, the proof: a twist [linear; angular] in
-        the body's frame, against which no push does work, and which lifts the weight or leaves all
-        contacts.
+        Where it is proven that no contacts on the free faces would do, the proof: a twist [linear;
+        angular] in the body's frame.  It lifts the weight, and no push does work in it; or, where
+        contacts do not close the body, none of them opposes it.
     """
 
     edge: PivotEdge | None
@@ -108,7 +108,7 @@ class PickupRefusal:
 
 
 class PickupError(GraspError):
-    """A body cannot be picked up, or no way was found.
+    """No way was found to pick a body up, or there is none.
 
     Attributes
     ----------
@@ -146,7 +146,8 @@ class PhasedPickup:
     least : float
         Part of the weight with which every contact presses.
     refused : tuple of PickupRefusal
-        Other ways that cannot be.
+        Why the other ways were not taken: with proof, because no contacts or no better ones were
+        found, or because theirs are worse.
     """
 
     lies: LyingBody

@@ -3,12 +3,18 @@ r"""Planning a pick-up: without tilting if that can be, else about the edge of l
 For each edge, the first of these that fails is the reason why not:
 
 1. Some pushes on the faces that are free, with the floor at the edge, carry the weight.
-2. Tilted as far as can be, the face that the body lies on has the height that a finger needs.
-3. Contacts anywhere on the free faces and on the part of this face that is freed close the body.
-4. Two grippers at corners of the body, each from one side, reach such contacts.
-5. A search finds seven contacts that hold the body in all phases with bounded forces.
+2. Tilted as far as the edge allows, the face that the body lies on has the height that a finger
+   needs.
+3. Contacts anywhere on the free faces, and on the part of this face that the largest tilt frees,
+   close the body.
+4. So do contacts where fingertips reach both as the body lies and tilted by some angle.
+5. Two grippers at corners of the body, each from one side, reach such contacts.
+6. A search finds seven contacts that hold the body in all phases with bounded forces.
 
-The first three are proofs: pushes at the corners of the parts that can be reached stand for all.
+The first three are proofs.  Pushes at the corners of the parts that can be reached stand for all,
+and no tilt frees more of any face: contacts on other faces press from the start, and of the face
+that the body lies on, the largest tilt frees most.  The others are none: two tilts are tried, while
+a part of a face that overhangs may be reached at smaller ones only, and the search draws at random.
 """
 
 from __future__ import annotations
@@ -16,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import number_of
+from multiarm.grasp.arguments import generator_of, number_of
 from multiarm.grasp.body.body_class import as_polyhedron
 from multiarm.grasp.body.face import across, frame_of
 from multiarm.grasp.body.polyhedron import Polyhedron
@@ -28,7 +34,14 @@ from multiarm.grasp.grasp import Grasp
 from multiarm.grasp.optimisation.placements import FaceChoices, face_choices, touch_regions
 from multiarm.grasp.pickup.contact_search import ContactSearch, Placement
 from multiarm.grasp.pickup.from_above import approach_from_above
-from multiarm.grasp.pickup.lying_body import DOWN, STILL, LyingBody, PivotEdge, lying, reached_part
+from multiarm.grasp.pickup.lying_body import (
+    DOWN,
+    STILL,
+    LyingBody,
+    PivotEdge,
+    laid_on_face,
+    reached_part,
+)
 from multiarm.grasp.pickup.phases import (
     GRIP,
     LIFT,
@@ -56,7 +69,11 @@ LARGEST = 10.0
 # A tilt by one radian costs as much as all forces again.  One in which hands and floor do not close
 # the body, so that only its weight holds it, costs so many times as much.
 ONLY_BY_WEIGHT = 2.0
-CHEAPER = "it takes larger forces, or a larger tilt"
+NOTHING_BETTER = "no better contacts were found"
+WORSE = (
+    "its contacts are worse: they take larger forces or a larger tilt, or the body is held by its "
+    "weight alone"
+)
 # Parts of the angle at which equilibrium is looked at, by the search and in the plan.
 JUDGED, SAMPLES = (0.0, 1.0), (0.0, 0.25, 0.5, 0.75, 1.0)
 # Smallest singular value of scaled wrenches that hold a body.
@@ -110,10 +127,8 @@ def plan_pickup(
     lengths = {"finger": finger, "tip_radius": tip_radius, "least": least, "gripper_size": sizes[0]}
     for name, value in lengths.items():
         number_of(value, f"{name} is greater than 0", above=0.0)
-    planner = _Planner(
-        lying(body, face), sizes, finger, tip_radius, least, np.random.default_rng(rng)
-    )
-    return planner.plan()
+    generator = generator_of(rng, "rng")
+    return _Planner(laid_on_face(body, face), sizes, finger, tip_radius, least, generator).plan()
 
 
 class _NotHeldError(Exception):
@@ -145,6 +160,7 @@ class _Planner:
 
     def plan(self) -> PickupPlan:
         """The plan."""
+        self._require_free_faces()
         refused: list[PickupRefusal] = []
         best: tuple[PivotEdge | None, Placement] | None = None
         for edge in (None, *self.lies.edges()):
@@ -153,7 +169,7 @@ class _Planner:
                 refused.append(outcome)
             else:
                 if best is not None:
-                    refused.append(PickupRefusal(best[0], CHEAPER))
+                    refused.append(PickupRefusal(best[0], WORSE))
                 best, self.most = (edge, outcome), outcome.cost
                 if edge is None:
                     break
@@ -164,28 +180,50 @@ class _Planner:
             )
         return self._finished(*best, tuple(refused))
 
+    def _require_free_faces(self) -> None:
+        """Refuse a body of which a finger reaches nothing."""
+        if self.free:
+            return
+        height = self.lies.at(self.body.vertices)[:, 2].max()
+        reason = (
+            f"no face is free: the body is {height:.3g} m high, and a finger needs "
+            f"{self.finger:g} m; choose a smaller finger"
+        )
+        name = self.body.names[self.lies.face]
+        raise PickupError(
+            f"the body is not picked up from {name}: {reason}",
+            [PickupRefusal(edge, reason) for edge in (None, *self.lies.edges())],
+        )
+
     # --- what can be --------------------------------------------------------------------------
 
     def _placement(self, edge: PivotEdge | None) -> Placement | PickupRefusal:
         """The cheapest contacts for tilting about an edge, or why there are none."""
-        if edge is None:
-            return self._placement_at(None, 0.0)
-        obstacle = self._obstacle(edge)
+        obstacle = self._not_closed(None, self.free) if edge is None else self._obstacle(edge)
         if obstacle is not None:
             return obstacle
-        usual = min(USUAL_TILT, edge.limit)
-        outcome = self._placement_at(edge, usual)
-        if isinstance(outcome, Placement) or usual == edge.limit:
-            return outcome
-        if self.most < LARGEST:  # a larger tilt would not be cheaper
-            return PickupRefusal(edge, CHEAPER)
-        return self._placement_at(edge, edge.limit)
+        if edge is None:
+            outcome = self._placement_at(None, 0.0)
+            return outcome if isinstance(outcome, Placement) else PickupRefusal(None, outcome)
+        reasons: dict[str, list[str]] = {}
+        for tilt in sorted({min(USUAL_TILT, edge.limit), edge.limit}):
+            outcome = self._placement_at(edge, tilt)
+            if isinstance(outcome, Placement):
+                return outcome
+            if self.most < LARGEST:  # a larger tilt would not be cheaper
+                return PickupRefusal(edge, NOTHING_BETTER)
+            reasons.setdefault(outcome, []).append(f"{np.degrees(tilt):.3g} deg")
+        words = [f"at {' and at '.join(tilts)}, {reason}" for reason, tilts in reasons.items()]
+        return PickupRefusal(edge, "; ".join(words))
 
     def _obstacle(self, edge: PivotEdge) -> PickupRefusal | None:
-        """Why no pushes carry the body with the floor at an edge alone, with proof."""
-        pushes = all_pushes(self.body, self.free)
+        """Why no contacts pick the body up about an edge, with proof."""
+        return self._not_tilted(edge) or self._too_low(edge) or self._not_freed(edge)
+
+    def _not_tilted(self, edge: PivotEdge) -> PickupRefusal | None:
+        """Why no pushes carry the body with the floor at an edge alone."""
         floor = floor_contacts(self.body, self.lies.pose, edge.vertices)
-        contacts = floor if pushes is None else pushes.joined(floor)
+        contacts = all_pushes(self.body, self.free).joined(floor)
         lifted = carried(self.body, self.lies.pose, contacts, 0.0)
         if lifted:
             return None
@@ -202,45 +240,67 @@ class _Planner:
             lifted.motion,
         )
 
-    def _placement_at(self, edge: PivotEdge | None, limit: float) -> Placement | PickupRefusal:
-        """The cheapest contacts for tilting by an angle at most, or why there are none."""
-        parts = self._parts([STILL] if edge is None else [STILL, edge.turned(limit)])
-        below = self.body.names[self.lies.face]
-        if edge is not None:
-            freed = reached_part(self.lies, self.lies.face, [edge.turned(limit)], self.finger)
-            if freed is None:
-                away = edge.distance(self.lies.at(self.body.faces[self.lies.face].vertices))
-                return PickupRefusal(
-                    edge,
-                    f"{below} gets {away.max() * np.sin(limit):.3g} m above the floor at most, at "
-                    f"{np.degrees(limit):.0f} deg, and a finger needs {self.finger:g} m",
-                )
-            parts[self.lies.face] = freed
+    def _freed(self, edge: PivotEdge, tilt: float) -> np.ndarray | None:
+        """The part of the face that the body lies on which a tilt frees, None for no part."""
+        return reached_part(self.lies, self.lies.face, [edge.turned(tilt)], self.finger)
+
+    def _too_low(self, edge: PivotEdge) -> PickupRefusal | None:
+        """Why the largest tilt lets no finger below the body."""
+        if self._freed(edge, edge.limit) is not None:
+            return None
+        away = edge.distance(self.lies.at(self.body.faces[self.lies.face].vertices))
+        return PickupRefusal(
+            edge,
+            f"{self.body.names[self.lies.face]} gets {away.max() * np.sin(edge.limit):.3g} m above "
+            f"the floor at most, at {np.degrees(edge.limit):.0f} deg, and a finger needs "
+            f"{self.finger:g} m",
+        )
+
+    def _not_freed(self, edge: PivotEdge) -> PickupRefusal | None:
+        """Why no tilt frees enough: no part of a face is larger than one of these."""
+        freed = self._freed(edge, edge.limit)
+        assert freed is not None  # it is not too low
+        return self._not_closed(edge, {**self.free, self.lies.face: freed})
+
+    def _not_closed(
+        self, edge: PivotEdge | None, parts: dict[int, np.ndarray]
+    ) -> PickupRefusal | None:
+        """Why contacts on parts that hold all that can be reached do not close the body."""
         pushes = all_pushes(self.body, parts)
-        closure = None if pushes is None else is_form_closure(pushes)
-        if pushes is None or closure is None:
-            return PickupRefusal(edge, "no face is free")
-        if closure.motion is not None:
-            words = motion_in_words(pushes, closure.motion)
-            reason = f"contacts on the free faces do not close it: it can {words}"
-            return PickupRefusal(edge, reason, closure.motion)
-        return self._found(edge, limit, parts)
+        motion = is_form_closure(pushes).motion
+        if motion is None:
+            return None
+        tilted = "" if edge is None else ", however far it is tilted"
+        words = motion_in_words(pushes, motion)
+        reason = f"contacts on the free faces do not close it{tilted}: it can {words}"
+        return PickupRefusal(edge, reason, motion)
+
+    def _placement_at(self, edge: PivotEdge | None, tilt: float) -> Placement | str:
+        """The cheapest contacts for tilting by an angle at most, or why none were found."""
+        parts = self.free
+        if edge is not None:
+            freed = self._freed(edge, tilt)
+            if freed is None:
+                return f"{self.body.names[self.lies.face]} is too low for a finger"
+            parts = {**self._parts([STILL, edge.turned(tilt)]), self.lies.face: freed}
+            if not is_form_closure(all_pushes(self.body, parts)):
+                return "contacts on the free faces were not found to close it"
+        return self._found(edge, tilt, parts)
 
     def _found(
-        self, edge: PivotEdge | None, limit: float, parts: dict[int, np.ndarray]
-    ) -> Placement | PickupRefusal:
-        """The cheapest contacts on parts of faces that were found."""
+        self, edge: PivotEdge | None, tilt: float, parts: dict[int, np.ndarray]
+    ) -> Placement | str:
+        """The cheapest contacts on parts of faces that were found, or why none were."""
         try:
-            choices = self._choices(edge, parts)
+            size, choices = self._choices(edge, parts)
         except GraspError as error:
-            return PickupRefusal(edge, str(error))
+            return str(error)
         if not len(choices):
-            return PickupRefusal(
-                edge,
-                f"no two grippers of {self.gripper_sizes[0]:.3g} m reach faces that close it, each "
-                "from one side and from above; choose larger ones",
+            return (
+                f"no two grippers of {size:.3g} m reach faces that close it, each from one side "
+                "and from above; choose larger ones"
             )
-        motions = [STILL] if edge is None else [STILL, edge.turned(limit)]
+        motions = [STILL] if edge is None else [STILL, edge.turned(tilt)]
         forces = [(motion @ self.lies.pose)[:3, :3].T @ UP for motion in motions]
         search = ContactSearch(
             choices=choices,
@@ -257,13 +317,10 @@ class _Planner:
         best = search.best()
         if best is not None and self._holds(edge, best):
             return best
-        reason = (
-            CHEAPER
-            if self.most < LARGEST
-            else f"no contacts were found that hold it with less than {LARGEST:g} weights in all "
+        return (
+            f"no contacts were found that hold it with less than {LARGEST:g} weights in all "
             "phases; choose larger grippers, a smaller finger or another seed"
         )
-        return PickupRefusal(edge, reason)
 
     def _holds(self, edge: PivotEdge | None, placement: Placement) -> bool:
         """Whether contacts hold the body in all phases, at more angles than the search looks at."""
@@ -273,8 +330,10 @@ class _Planner:
             return False
         return True
 
-    def _choices(self, edge: PivotEdge | None, parts: dict[int, np.ndarray]) -> FaceChoices:
-        """Choices of faces of which some contacts are on the face that is freed."""
+    def _choices(
+        self, edge: PivotEdge | None, parts: dict[int, np.ndarray]
+    ) -> tuple[float, FaceChoices]:
+        """The size of grippers [m], and their choices with contacts on the face that is freed."""
         for size in self.gripper_sizes:
             regions = touch_regions(
                 self.body, self.body.vertices, size, clearance=self.tip_radius, faces=parts
@@ -297,7 +356,7 @@ class _Planner:
             ],
             dtype=bool,
         )
-        return FaceChoices(choices.regions, numbers[reached])
+        return size, FaceChoices(choices.regions, numbers[reached])
 
     def _comes_from_above(self, choices: FaceChoices, hand: np.ndarray) -> bool:
         """Whether a hand reaches those of its regions that are free as the body lies."""

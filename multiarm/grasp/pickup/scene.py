@@ -29,14 +29,14 @@ import numpy as np
 from multiarm.assembly.bases import POOREST, Stand, StandSearch, farthest
 from multiarm.assembly.inverse_kinematics import InverseKinematics
 from multiarm.assembly.robots import robot_files
-from multiarm.errors import GraspError
-from multiarm.grasp.arguments import number_of
+from multiarm.errors import GraspError, MultiarmError
+from multiarm.grasp.arguments import generator_of, number_of
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
-from multiarm.grasp.pickup.course import CLOSED, GRAVITY, HELD, LIFTED, TILTED, PickupCourse
+from multiarm.grasp.pickup.course import CLOSED, HELD, LIFTED, RESTED, TILTED, PickupCourse
 from multiarm.grasp.pickup.from_above import DESCENTS, approach_from_above
 from multiarm.grasp.pickup.lying_body import DOWN
 from multiarm.grasp.pickup.phases import PhasedPickup
-from multiarm.grasp.scenes import arm_table, object_table
+from multiarm.grasp.scenes import GRAVITY, arm_table, object_table
 from multiarm.grasp.scenes.hands import (
     PEDESTAL_COST,
     SIDEWAYS,
@@ -52,6 +52,7 @@ from multiarm.grasp.scenes.hands import (
     robot_alone,
 )
 from multiarm.notation import count_of
+from multiarm.results.files import atomic_output, resolved, target_fault
 from multiarm.robots.robot import Robot
 from multiarm.scene import ArmSpec, Scene, find_robot, resolve_arm
 from multiarm.spatial import difference, matrix_to_quaternion
@@ -66,6 +67,8 @@ STIFFNESS, DAMPING = 1000.0, 50.0
 LATE_GAP = 2e-6
 # Rows of the table of references are this far apart [s].
 PERIOD = 0.02
+# Shortest run [s]: its rests, too, have a row.
+SHORTEST = PERIOD / RESTED
 # A tip is where it should be within this [m, rad], after so many of Newton's steps at most.
 REACHED, STEPS = 1e-11, 20
 
@@ -96,9 +99,11 @@ def pickup_scene(
     mass, hand_mass : float
         Of the object, evenly spread, and of each hand [kg].
     lift : float
-        Height to which the body is lifted [m].
-    duration, accuracy : float
-        Of the run [s], and its accuracy.
+        Height to which the body is lifted [m]: at least that of a finger, where some are below.
+    duration : float
+        Of the run [s], one second at least.
+    accuracy : float
+        Of the run [m, rad].
     name : str, optional
         Title of the scene.
     seed : int
@@ -109,17 +114,21 @@ def pickup_scene(
     Raises
     ------
     GraspError
-        Another number of arms; arms that are too weak; as `UnreachableError`, arms that do not
-        reach the body.
+        Another number of arms; unusable numbers; a table that cannot be written; arms that are too
+        weak; as `UnreachableError`, arms that do not reach the body.
     SceneError
         Robots that do not exist.
     """
-    numbers = {"mass": mass, "hand_mass": hand_mass, "lift": lift, "duration": duration}
+    numbers = {"mass": mass, "hand_mass": hand_mass, "lift": lift, "accuracy": accuracy}
     for what, value in numbers.items():
         number_of(value, f"{what} is greater than 0", above=0.0)
-    grippers = plan.grasp.grippers
-    if len(arms) != len(grippers):
-        raise GraspError(f"the plan takes {count_of(len(grippers), 'arm')}, not {len(arms)}")
+    number_of(duration, f"duration is at least {SHORTEST:g} s", at_least=SHORTEST)
+    if plan.late:  # both ends of the way are high enough, and so is what lies between
+        needed = f"lift is at least {plan.finger:g} m, which the fingers below the body need"
+        number_of(lift, needed, at_least=plan.finger)
+    specs = _specs(arms, len(plan.grasp.grippers))
+    path = _path_of(table)
+    rng = generator_of(seed, "seed")
     course = PickupCourse(plan, mass, lift, duration)
     centre = np.eye(4)
     centre[:3, 3] = plan.lies.body.centre  # an object's frame is at its centre of mass
@@ -128,29 +137,21 @@ def pickup_scene(
     times = np.linspace(0.0, duration, 1 + round(duration / PERIOD))
     poses = [course.at(t).pose @ centre for t in times]
     forces = np.array([course.forces(t) for t in times])
-    rng = np.random.default_rng(seed)
     written: dict[str, dict[str, Any]] = {}
     references: dict[str, np.ndarray] = {}
     with displayed(progress, PartProgress) as show:
-        for number, (robot, gripper) in enumerate(zip(arms, grippers, strict=True)):
-            show(number / len(arms), f"postures of '{gripper.name}'")
-            gripper = grasp.grippers[number]
+        for number, (spec, gripper) in enumerate(zip(specs, grasp.grippers, strict=True)):
+            show(number / len(specs), f"postures of '{gripper.name}'")
             early = _part(plan, gripper, late=False)
-            spec = ArmSpec(robot=robot, tip=find_robot(robot).tip)
             stand = _stand(plan, grasp, early, spec, course, centre, rng)
             arm = arm_table(grasp, early, spec, stand, plan.tip_radius, hand_mass)
             hand = _Hand(grasp, gripper, ArmSpec(**arm))
             postures = hand.postures(stand.reach.postures[0], poses)
             written[gripper.arm_name] = {**arm, "posture": postures[0].tolist()}
             references |= hand.references(times, postures, poses, forces)
-    path = Path(table).expanduser().resolve()
-    rows = np.column_stack([times, *references.values()])
-    np.savetxt(
-        path, rows, fmt="%.10g", delimiter=",", header=",".join(["time", *references]), comments=""
-    )
-    return Scene(
-        name=name or f"{len(arms)} arms pick a body of {len(plan.lies.body.faces)} faces up",
-        gravity=(0.0, 0.0, -GRAVITY),
+    scene = Scene(
+        name=name or f"{len(specs)} arms pick a body of {len(plan.lies.body.faces)} faces up",
+        gravity=GRAVITY,
         object={**object_table(grasp.body, mass, None), "pose": pose_table(poses[0])},
         arms=written,
         joints=list(_joints(plan, grasp, HELD * duration)),
@@ -166,6 +167,43 @@ def pickup_scene(
         effects={"unilateral_contacts": {}, "floor": {}},
         run={"duration": duration, "accuracy": accuracy},
     )
+    rows = np.column_stack([times, *references.values()])
+    header = ",".join(["time", *references])
+    with atomic_output(path, error=GraspError) as partial:  # last: it may replace a file
+        np.savetxt(partial, rows, fmt="%.10g", delimiter=",", header=header, comments="")
+    return scene
+
+
+def _path_of(table: Any) -> Path:
+    """The absolute path of a table that can be written."""
+    try:
+        path = resolved(table)
+    except MultiarmError as error:
+        raise GraspError(f"table: {error}") from error
+    fault = target_fault(path)
+    if fault:
+        raise GraspError(f"the table '{table}' cannot be written: {fault}")
+    return path
+
+
+def _specs(arms: Sequence[str], count: int) -> list[ArmSpec]:
+    """The robots, one for each gripper.
+
+    Raises
+    ------
+    GraspError
+        No robots by name, or another number of them.
+    SceneError
+        Robots that do not exist.
+    """
+    if isinstance(arms, str) or not isinstance(arms, Sequence):
+        raise GraspError(f"arms is a list of robots by name, such as ['ur5', 'ur5'], not {arms!r}")
+    for k, robot in enumerate(arms):
+        if not isinstance(robot, str):
+            raise GraspError(f"arms[{k}] is the name of a robot, such as 'ur5', not {robot!r}")
+    if len(arms) != count:
+        raise GraspError(f"the plan takes {count_of(count, 'arm')}, not {len(arms)}")
+    return [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
 
 
 def _part(plan: PhasedPickup, gripper: Gripper, late: bool) -> Gripper:

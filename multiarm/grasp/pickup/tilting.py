@@ -66,10 +66,8 @@ def weakest_force(body: Polyhedron, pose: np.ndarray, contacts: Contacts) -> flo
     return -np.inf if solution.x is None else float(solution.x[-1])
 
 
-def all_pushes(body: Polyhedron, parts: Mapping[int, np.ndarray]) -> Contacts | None:
-    """Contacts at all corners of parts of faces, by their numbers; None where there are none."""
+def all_pushes(body: Polyhedron, parts: Mapping[int, np.ndarray]) -> Contacts:
+    """Contacts at all corners of parts of faces, one at least, by their numbers."""
     points = [corner for part in parts.values() for corner in part]
-    if not points:
-        return None
     normals = [-body.normals[k] for k, part in parts.items() for _ in part]
     return Contacts.along(points, normals)

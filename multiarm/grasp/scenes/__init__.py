@@ -28,7 +28,7 @@ from multiarm.assembly.bases import Stand
 from multiarm.control.object_path import pose_path, reference_motion
 from multiarm.dynamics.forces.internal_forces import distribute, pressing_forces
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import number_of
+from multiarm.grasp.arguments import generator_of, number_of
 from multiarm.grasp.body.polyhedron import Polyhedron
 from multiarm.grasp.contacts import Contacts
 from multiarm.grasp.face_contacts import FaceContacts, Gripper
@@ -129,7 +129,7 @@ def grasp_scene(
     specs = [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
     way = path_of(path, duration)
     course = [waypoint.matrix() for waypoint in way]
-    rng = np.random.default_rng(seed)
+    rng = generator_of(seed, "seed")
     with displayed(progress, PartProgress) as show:
         start = stand_arms(grasp, specs, course, tip_radius, height, rng, show)
     upright = grasp.placed(start.turn)

@@ -38,7 +38,7 @@ from typing import Any
 import numpy as np
 
 from multiarm.errors import GraspError
-from multiarm.grasp.arguments import numbers_of
+from multiarm.grasp.arguments import generator_of, numbers_of
 from multiarm.grasp.closure.balances import tolerance_of
 from multiarm.grasp.closure.form_closure import closed_many
 from multiarm.grasp.contacts import Contacts, HeldByContacts, contacts_in_space, wrenches_of
@@ -341,7 +341,7 @@ def monte_carlo_stability(
     if not isinstance(confidence, Real) or not 0.0 < confidence < 1.0:
         raise GraspError(f"confidence is a number between 0 and 1, not {confidence!r}")
     delta = displacements_of(displacement, contacts)
-    generator = np.random.default_rng(rng)
+    generator = generator_of(rng, "rng")
     far = np.sqrt(generator.random((samples, contacts.count))) * delta
     angle = generator.uniform(0.0, 2.0 * np.pi, far.shape)
     along = np.stack([far * np.cos(angle), far * np.sin(angle)], axis=-1)
