@@ -35,6 +35,7 @@ from multiarm.dynamics.guards import (
     follow_scales,
     judge_guards,
     make_guards,
+    remember_scales,
 )
 from multiarm.jit.rows import fields_of
 
@@ -127,11 +128,20 @@ def test_scales_of_thresholds_grow_with_the_forces_and_do_not_know_the_unit_of_m
         forces=SimpleNamespace(f_o=np.zeros(6), f_j=np.array([-70.0 * mass])),
         rows=SimpleNamespace(force=np.array([3.0, -50.0]) * mass),
     )
-    scales = make_guards([]).scales
-    follow_scales.py_func(scales, data)
-    np.testing.assert_allclose(scales, [1.0, 50.0 * mass, 70.0 * mass])
+    guards = make_guards([])
+    scales, now, expected = guards.scales, guards.scales_now, [1.0, 50.0 * mass, 70.0 * mass]
+    follow_scales.py_func(scales, now, data)
+    np.testing.assert_allclose(now, expected)
+    remember_scales(guards)
     data.rows.force[:], data.forces.f_j[:] = 0.0, 0.0  # all forces may vanish for an instant
-    follow_scales.py_func(scales, data)
+    follow_scales.py_func(scales, now, data)
+    np.testing.assert_allclose(now, expected)
     data.rows.force[0] = np.nan
-    follow_scales.py_func(scales, data)
-    np.testing.assert_allclose(scales, [1.0, 50.0 * mass, 70.0 * mass])
+    follow_scales.py_func(scales, now, data)
+    np.testing.assert_allclose(now, expected)
+    data.rows.force[0] = 5e9 * mass  # of a mode that is only tried, or of a step that is not taken
+    follow_scales.py_func(scales, now, data)
+    np.testing.assert_allclose(now[1:], 5e9 * mass)
+    data.rows.force[0] = 1.0 * mass
+    follow_scales.py_func(scales, now, data)
+    np.testing.assert_allclose(now, expected)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from multiarm.grasp.scenes.hands import LEAST_CLEARANCE
 from multiarm.programs import least_distance
 
 # How steeply hands come down at least, over their clearance of the faces that they touch.
@@ -32,6 +31,8 @@ def approach_from_above(
         Unit vector, in the same axes.
     descent : float
     """
+    from multiarm.grasp.scenes.hands import LEAST_CLEARANCE
+
     shortest = least_distance(np.vstack([inward, down]), np.append(np.ones(len(inward)), descent))
     if not shortest.solved:
         return None

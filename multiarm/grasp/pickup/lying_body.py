@@ -26,9 +26,9 @@ from numbers import Integral
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.geometry.screws import skew
 from multiarm.grasp.body.face import clipped
 from multiarm.grasp.body.polyhedron import Polyhedron
-from multiarm.spatial import quaternion_to_matrix
 
 # A body is tilted no farther than this [rad].
 STEEPEST = np.radians(80.0)
@@ -194,7 +194,8 @@ def _face_number(body: Polyhedron, face: int | str) -> int:
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:
     """The rotation (3, 3) about a unit vector by an angle [rad]."""
-    return quaternion_to_matrix(np.append(np.sin(0.5 * angle) * axis, np.cos(0.5 * angle)))
+    S = skew(axis)
+    return np.eye(3) + np.sin(angle) * S + (1.0 - np.cos(angle)) * S @ S
 
 
 def _least_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
