@@ -105,8 +105,9 @@ def event() -> golden.Results:
     """A ball falls on a floor."""
     scene = event_scenes.on_floor(event_scenes.ball(height=1e-4))
     run = event_scenes.run(scene, 0.006)
-    (touches,) = run.events
+    touches, *rests = run.events
     return {
+        "at rest": [rest["time"] for rest in rests],
         "kind": touches["kind"],
         "time": touches["time"],
         "impulse": touches["after"]["impulse_N_s"],
