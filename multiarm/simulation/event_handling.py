@@ -71,9 +71,6 @@ ACCUMULATED, ACCUMULATION = 20, 1e-3
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
-# Slips slower than so many tolerances, which are the accuracy, are smoothed: errors of velocities
-# within a step, too, are as large.
-SMOOTHED = 10.0
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
@@ -114,7 +111,7 @@ class EventHandler:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
         else:
-            slow = SMOOTHED * tolerance.position
+            slow = 1000.0 * tolerance.position
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
