@@ -51,6 +51,11 @@ Key = tuple[type, int]
 MomentNumber = tuple[int, int]
 
 
+def rest_speed(slow: float) -> float:
+    """What a slip that has just come to rest may have left [m/s], see ``slow`` of the modes."""
+    return max(SPEED_THRESHOLD, 0.01 * slow)
+
+
 class ModeGuards:
     """All guards that the modes of a system can have.
 
@@ -68,8 +73,7 @@ class ModeGuards:
         assert model.unilateral is not None, "a system with unilateral contacts"
         self._unilateral = model.unilateral
         self._constraints = model.unilateral.constraints
-        # what a slip that has just come to rest may have left; faster contacts at the bound slip
-        still = max(SPEED_THRESHOLD, 0.01 * slow)
+        still = rest_speed(slow)  # faster contacts at the bound slip
         self.all: list[Guard] = []
         self._numbers: list[dict[Key, int]] = []
         for u, constraint in enumerate(self._constraints):

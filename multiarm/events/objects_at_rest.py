@@ -22,7 +22,7 @@ from multiarm.dynamics.layout import TWIST
 from multiarm.dynamics.model import Model
 from multiarm.dynamics.solver.bounds import COUPLED_RANK_TOLERANCE, NO_ACCELERATION, UNMOVED
 from multiarm.dynamics.solver.dense import null_space
-from multiarm.events.mode_guards import SPEED_THRESHOLD
+from multiarm.events.mode_guards import rest_speed
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
 from multiarm.scene.bodies import WORLD
@@ -48,7 +48,7 @@ class RestDetector:
         self._modes, self._dynamics = modes, RowDynamics(modes)
         self._objects = modes.full.model.layout.objects
         self._bodies, self._floor = _bodies_of_rows(modes.full.model)
-        self._slow = max(SPEED_THRESHOLD, 0.01 * modes.slow)  # as of a slip that has come to rest
+        self._slow = rest_speed(modes.slow)
         self._enforced = modes.unilateral.enforced
         effects = modes.full.model.effects.called
         self._steady = all(effect.local and effect.name != WRENCHES for effect in effects)

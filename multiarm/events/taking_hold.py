@@ -123,10 +123,10 @@ def switch_joints(
     """
     for k in sorted(holding - modes.holding):
         require_reach(modes, k)
-    return switch_everywhere(modes, holding, awaited)
+    return switch_without_limits(modes, holding, awaited)
 
 
-def switch_everywhere(
+def switch_without_limits(
     modes: Modes, holding: frozenset[int], awaited: frozenset[MomentNumber] = frozenset()
 ) -> Switch:
     """:func:`switch_joints`, however far apart the bodies are and however fast they move."""

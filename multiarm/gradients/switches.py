@@ -54,7 +54,7 @@ from multiarm.events.derivatives import derivatives_while
 from multiarm.events.evaluation import SLOW, enter_mode_at, modes_of
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
-from multiarm.events.taking_hold import HeldJoints, hold_placed, switch_everywhere
+from multiarm.events.taking_hold import HeldJoints, hold_placed, switch_without_limits
 from multiarm.geometry.stencils import CENTRAL_4
 from multiarm.gradients.phase import Phase
 from multiarm.gradients.switch_times import SwitchTime
@@ -217,7 +217,7 @@ class Switched(Phase):
         assert self.joints is not None
         with system.borrow() as data:
             modes = _placed(modes_of(data, SLOW), self.time, state, held)
-            switch_everywhere(modes, self.joints)
+            switch_without_limits(modes, self.joints)
             if self._taking:
                 bilateral = modes.bilateral
                 require_ok(bilateral, project(bilateral.struct, projection_tolerance(data)))

@@ -75,50 +75,19 @@ REACHED, STEPS = 1e-11, 20
 
 def pickup_scene(
     plan: PhasedPickup,
-    arms: Sequence[str] = ("ur5", "ur5"),
+    arms: Sequence[str],
     *,
     table: str | Path,
-    mass: float = 5.0,
-    hand_mass: float = 0.4,
-    lift: float = 0.1,
-    duration: float = 4.5,
-    accuracy: float = 1e-6,
-    name: str | None = None,
-    seed: int = 0,
-    progress: bool | Progress | None = None,
+    mass: float,
+    hand_mass: float,
+    lift: float,
+    duration: float,
+    accuracy: float,
+    name: str | None,
+    seed: int,
+    progress: bool | Progress | None,
 ) -> Scene:
-    """A scene in which arms pick a body up as planned.
-
-    Parameters
-    ----------
-    plan : PhasedPickup
-    arms : sequence of str
-        Robots by name, one for each gripper.
-    table : path
-        CSV file that is written, and that the scene names: references of the joints' springs.
-    mass, hand_mass : float
-        Of the object, evenly spread, and of each hand [kg].
-    lift : float
-        Height to which the body is lifted [m]: at least that of a finger, where some are below.
-    duration : float
-        Of the run [s], one second at least.
-    accuracy : float
-        Of the run [m, rad].
-    name : str, optional
-        Title of the scene.
-    seed : int
-        Of the search for postures.
-    progress : bool or callable, optional
-        As in :func:`multiarm.grasp.scenes.grasp_scene`.
-
-    Raises
-    ------
-    GraspError
-        Another number of arms; unusable numbers; a table that cannot be written; arms that are too
-        weak; as `UnreachableError`, arms that do not reach the body.
-    SceneError
-        Robots that do not exist.
-    """
+    """:meth:`multiarm.grasp.PickupPlan.to_scene`, which describes the numbers."""
     numbers = {"mass": mass, "hand_mass": hand_mass, "lift": lift, "accuracy": accuracy}
     for what, value in numbers.items():
         number_of(value, f"{what} is greater than 0", above=0.0)
