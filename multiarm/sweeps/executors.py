@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from multiarm.errors import MultiarmError, SweepError
 from multiarm.integration.time_loop import advance
+from multiarm.simulation.interrupts import deferred_interrupt
 from multiarm.sweeps.run import Context, Row, lost_run, prepare, run
 
 if TYPE_CHECKING:
@@ -42,8 +43,16 @@ TIMEOUTS = (TimeoutError, asyncio.TimeoutError)
 
 
 def run_here(context: Context, jobs: Sequence[Job]) -> Iterator[Row]:
-    """Carry out runs in this process, one after the other."""
-    return (run(context, *job) for job in jobs)
+    """Carry out runs in this process, one after the other.
+
+    Ctrl-C ends the run that is under way, or the runs before the next one begins: raised wherever
+    the program happens to be, it is lost where that is the callback of a weak reference.
+    """
+    with deferred_interrupt() as interrupt:
+        for job in jobs:
+            interrupt.deliver()
+            yield run(context, *job)
+        interrupt.deliver()
 
 
 def run_in_processes(context: Context, jobs: Sequence[Job], workers: int) -> Iterator[Row]:

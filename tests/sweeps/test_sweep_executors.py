@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -505,6 +506,24 @@ def test_ctrl_c_ends_a_sweep_in_good_order(scene, workers, tmp_path):
     timer.join()
     assert 0 < len(found) < 5000
     assert set(found.table["status"]) == {"completed"}
+
+
+def test_ctrl_c_ends_the_runs_even_where_python_would_lose_it(monkeypatch):
+    def run(context, number, values):
+        pressed = weakref.ref(mortal := Mortal(), lambda _: signal.raise_signal(signal.SIGINT))
+        del mortal
+        assert pressed() is None
+        return {"run": number}
+
+    monkeypatch.setattr(executors, "run", run)
+    rows = run_here(None, [(1, {}), (2, {})])
+    assert next(rows) == {"run": 1}
+    with pytest.raises(KeyboardInterrupt):
+        next(rows)
+
+
+class Mortal:
+    """An object that a weak reference can watch."""
 
 
 @pytest.mark.parametrize(
