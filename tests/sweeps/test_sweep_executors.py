@@ -9,8 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-import weakref
 import warnings
+import weakref
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
