@@ -20,7 +20,7 @@ from multiarm.contacts.joint import unwrapped
 from multiarm.contacts.kernel import PatchRow, depth_in_patch, open_contact, slip_of, tip_offset
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import open_code, open_geometry
-from multiarm.dynamics.kinematics import write_connection_motion
+from multiarm.dynamics.kinematics import rate_by_block, rate_by_object, write_connection_motion
 from multiarm.geometry.records import Patch
 from multiarm.jit.kernels import inlined, kernel
 from multiarm.jit.pointers import call_python
@@ -197,6 +197,7 @@ class Slip(NamedTuple):
     """The speed of a sliding contact along the direction of its slip [m/s]."""
 
     tangent: Int  # the row of the first of its two tangents
+    block: Int  # of these rows
     constraint: Int  # of the scene's unilateral constraints
     directions: Floats2  # (s, 2) of all sliding contacts, see multiarm.dynamics.sliding
 
@@ -224,11 +225,17 @@ joint_speed_at = view_at(JointSpeed)
 
 
 @inlined
-def slip(guard, slides, rows):
-    """``d . s``; ``slides`` are the numbers of the sliding contacts, by constraint."""
+def slip(guard, slides, accelerations, full, work):
+    """``d . s`` and its rate; ``slides`` are the numbers of the sliding contacts, by constraint."""
     t, direction = guard.tangent, guard.directions[slides[guard.constraint]]
-    first, second = slip_of(rows.kinematics, t)
-    return first * direction[0] + second * direction[1]
+    first, second = slip_of(full.rows.kinematics, t)
+    value, rate = first * direction[0] + second * direction[1], 0.0
+    for k in range(2):
+        by_object = rate_by_object(t + k, full, accelerations.a_o)
+        by_block = rate_by_block(guard.block, t + k, work, accelerations.a_j)
+        bias = open_contact(full.rows.kinematics[t + k]).gap_bias
+        rate += direction[k] * (by_object + by_block + bias)
+    return value, rate
 
 
 @inlined
@@ -325,10 +332,10 @@ def force_function(guards, g, struct, force):
 
 
 @kernel
-def guard_function(guards, g, struct, data, model, full):
+def guard_function(guards, g, struct, data, model, full, work):
     """Value, course and rate for guard ``g`` at the state evaluated last; without a rate, it is 0.
 
-    ``model`` and ``full`` are those of the system with all rows, with their kinematics.
+    ``model``, ``full`` and ``work`` are those of the system with all rows, with their kinematics.
     """
     kind, records, at = guards.kind[g], guards.records, guards.place[g]
     if kind == OPEN_GAP:
@@ -339,6 +346,13 @@ def guard_function(guards, g, struct, data, model, full):
     if kind == RANGE_DEPTH:
         depth, rate = range_depth(range_at(records, at), model, data)
         return depth, depth, rate
+    if kind == SLIP:
+        speed, rate = slip(slip_at(records, at), guards.slides, data.accelerations, full, work)
+        return speed, speed, rate
+    if kind == JOINT_SPEED:
+        joint = joint_speed_at(records, at).joint
+        speed = data.state.joint_rates[joint]
+        return speed, speed, data.accelerations.a_j[joint]
     if is_force_function(kind):
         value = force_function(guards, g, struct, data.rows.force)
     elif kind == TOUCH:
@@ -348,12 +362,8 @@ def guard_function(guards, g, struct, data, model, full):
     elif kind == PATCH_DEPTH:
         guard = patch_at(records, at)
         value = depth_on_body(guard.patch, guard.body, guard.row, model, full)
-    elif kind == SLIP:
-        value = slip(slip_at(records, at), guards.slides, full.rows)
     elif kind == SLIP_ONSET:
         value = slip_onset(onset_at(records, at), full.rows)
-    elif kind == USER_FUNCTION:
-        value = user_value(user_function_at(records, at))
     else:
-        value = data.state.joint_rates[joint_speed_at(records, at).joint]
+        value = user_value(user_function_at(records, at))
     return value, value, 0.0

@@ -170,15 +170,15 @@ def follow_scales(scales, now, data):
 
 
 @kernel
-def write_values(guards, struct, data, model, full):
+def write_values(guards, struct, data, model, full, work):
     """Values of all guards at the state that the system ``struct`` has evaluated last in ``data``.
 
-    ``model`` and ``full`` are those of the system with all rows, with their kinematics.
+    ``model``, ``full`` and ``work`` are those of the system with all rows, with their kinematics.
     """
     follow_scales(guards.scales, guards.scales_now, data)
     for g in range(guards.kind.size):
         sign = guards.sign[g]
-        value, course, rate = guard_function(guards, g, struct, data, model, full)
+        value, course, rate = guard_function(guards, g, struct, data, model, full, work)
         guards.value[g], guards.course[g], guards.rate[g] = sign * value, sign * course, sign * rate
         guards.level[g] = guards.threshold[g] * guards.scales_now[guards.scale[g]]
 

@@ -420,6 +420,24 @@ def release_wheels(model, work):
     return count
 
 
+@inlined
+def rate_by_object(row, data, a_o):
+    """``W_o^T a_o`` of a row."""
+    rate = 0.0
+    for k in range(a_o.size):
+        rate += data.rows.W_o[row, k] * a_o[k]
+    return rate
+
+
+@inlined
+def rate_by_block(i, row, work, a):
+    """``W^T a`` of a row of block ``i``."""
+    rate = 0.0
+    for j in range(work.first_joint[i + 1] - work.first_joint[i]):
+        rate += work.W[i, j, row - work.first_contact[i]] * a[work.first_joint[i] + j]
+    return rate
+
+
 @kernel
 def load_inertias(data, work):
     """Write the inertias of all blocks to ``work.M``."""

@@ -305,6 +305,10 @@ class Layout:
         """Index of the block that has a joint."""
         return bisect_right(self.first_joint_of_block, joint) - 1
 
+    def block_of_contact(self, contact: int) -> int:
+        """Index of the block that has a contact."""
+        return bisect_right(self.first_of_block, contact) - 1
+
     def chain_in_block(self, robot: int, chain: np.ndarray) -> tuple[int, np.ndarray]:
         """The block of joints from the base to a link, and these counted from its first one.
 

@@ -17,6 +17,7 @@ import math
 
 from multiarm.dynamics.arrays import open_system
 from multiarm.dynamics.contact_forces import add_contact_forces
+from multiarm.dynamics.kinematics import rate_by_block, rate_by_object
 from multiarm.dynamics.momenta import times_block_inertia, times_object_inertia
 from multiarm.dynamics.solver.batched import largest_free_rate
 from multiarm.dynamics.solver.bounds import IMBALANCE_BOUND, LEAST_ACCELERATION
@@ -59,24 +60,6 @@ def write_residuals(
         for row in range(work.first_contact[i], work.first_contact[i + 1]):
             residual = rate_by_object(row, data, a_o) + rate_by_block(i, row, work, a) - c[row]
             check.constraint = larger(check.constraint, residual)
-
-
-@inlined
-def rate_by_object(row, data, a_o):
-    """``W_o^T a_o`` of a row."""
-    rate = 0.0
-    for k in range(a_o.size):
-        rate += data.rows.W_o[row, k] * a_o[k]
-    return rate
-
-
-@inlined
-def rate_by_block(i, row, work, a):
-    """``W^T a`` of a row of block ``i``."""
-    rate = 0.0
-    for j in range(work.first_joint[i + 1] - work.first_joint[i]):
-        rate += work.W[i, j, row - work.first_contact[i]] * a[work.first_joint[i] + j]
-    return rate
 
 
 # --- relative residuals of the last solution ------------------------------------------------------

@@ -278,8 +278,8 @@ def write_mode_guards(struct: INTS):
     data = open_data(struct)
     rows = referenced(data.modes.full)
     status = update_rows(rows)
-    model, full, _ = open_system(rows)
-    write_values(guards_of_mode(data), struct, data, model, full)
+    model, full, work = open_system(rows)
+    write_values(guards_of_mode(data), struct, data, model, full, work)
     return CALLBACK_FAILED if data.status.failed else status
 
 

@@ -77,7 +77,11 @@ class ModeGuards:
         self.all: list[Guard] = []
         self._numbers: list[dict[Key, int]] = []
         for u, constraint in enumerate(self._constraints):
-            of_constraint = _guards(u, constraint, still, directions)
+            of_constraint = _guards(u, constraint, still)
+            if constraint.tangents:
+                tangent = constraint.tangents[0]
+                block = model.layout.block_of_contact(tangent)
+                of_constraint[Slip, 1] = Guard(Slip(tangent, block, u, directions), still)
             patch = patch_of(model, constraint)
             if patch is not None and not constraint.compliant:
                 depth = PatchDepth(constraint.row, model.world_number, patch)
@@ -148,10 +152,8 @@ class ModeGuards:
         return np.array(numbers, dtype=np.int64)
 
 
-def _guards(
-    u: int, constraint: Constraint, still: float, directions: np.ndarray
-) -> dict[Key, Guard]:
-    """All guards that a constraint can have without a patch."""
+def _guards(u: int, constraint: Constraint, still: float) -> dict[Key, Guard]:
+    """All guards that a constraint can have without a patch, but that of its slip."""
     row, tangents = constraint.row, constraint.tangents
     if constraint.compliant:
         return {
@@ -173,7 +175,6 @@ def _guards(
     }
     if tangents:
         guards[SlipOnset, 1] = Guard(SlipOnset(tangents[0], still))
-        guards[Slip, 1] = Guard(Slip(tangents[0], u, directions), still)
         for side in (1, -1) if constraint.bilateral else (1,):
             cone = FrictionCone(row, side * constraint.mu, *tangents)
             guards[PushingForce, side] = Guard(

@@ -352,14 +352,13 @@ class Modes:
 
     def _room_for_slides(self) -> tuple[Slides, Slides]:
         """Room for the sliding contacts of a mode, and what each constraint is when it slides."""
-        constraints, bounds = self.unilateral.constraints, self.full.model.layout.first_of_block
-        count = len(constraints)
-        rows = np.array([constraint.row for constraint in constraints], dtype=np.int64)
+        constraints, layout = self.unilateral.constraints, self.full.model.layout
+        count, rows = len(constraints), [constraint.row for constraint in constraints]
         tangents = [(*constraint.tangents, -1)[0] for constraint in constraints]
         of_all = Slides(
             numbers=FrictionNumbers(slow=self.slow, power=_power_of_friction(self.full)),
-            row=rows,
-            block=np.searchsorted(bounds, rows, side="right").astype(np.int64) - 1,
+            row=np.array(rows, dtype=np.int64),
+            block=np.array([layout.block_of_contact(row) for row in rows], dtype=np.int64),
             tangent=2 * np.arange(count, dtype=np.int64),
             tangent_of_all=np.array(tangents, dtype=np.int64),
             mu=np.array([constraint.mu for constraint in constraints]),

@@ -88,14 +88,14 @@ def write_reports(struct: INTS):
     They are numbered by all rows; in a mode these have kinematics of their own.  Returns ``OK`` or
     ``CALLBACK_FAILED``.
     """
-    model, data, _ = open_system(struct)
+    model, data, work = open_system(struct)
     if not data.modes.active:
-        write_values(open_reports(struct), struct, data, model, data)
+        write_values(open_reports(struct), struct, data, model, data, work)
         return CALLBACK_FAILED if data.status.failed else OK
     rows = referenced(data.modes.full)
     status = update_rows(rows)
-    model_of_all, full, _ = open_system(rows)
-    write_values(open_reports(struct), struct, data, model_of_all, full)
+    model_of_all, full, work_of_all = open_system(rows)
+    write_values(open_reports(struct), struct, data, model_of_all, full, work_of_all)
     return status
 
 
