@@ -14,12 +14,14 @@ Where slip comes to rest the direction of :math:`s` reverses.  Within a step the
 smooth, so that the step can pass that point and the time be located: of :math:`\pm s` the one
 nearer to the last step's direction :math:`d_0` is taken.  Where slip begins, velocities orthogonal
 to it decay at the rate :math:`\mu a_n / |s|`, which no method can follow.  With
-:math:`s = a d_0 + p`, p orthogonal to :math:`d_0`, and a speed :math:`s_0` that depends on the
-accuracy of the run, the direction is therefore that of
+:math:`s = a d_0 + p`, p orthogonal to :math:`d_0`, and a speed :math:`s_0` below the errors of the
+run, the direction is therefore that of
 
-.. math:: \sqrt{a^2 + s_0^2}\; d_0 + \frac{a}{\sqrt{a^2 + s_0^2}}\; p ,
+.. math:: m(a)\, d_0 + m'(a)\, p, \qquad
+    m(a) = s_0 \left( \tfrac38 + \tfrac34 x^2 - \tfrac18 x^4 \right), \quad x = a / s_0,
 
-which is :math:`\pm s` except for speeds near :math:`s_0`.  The force has full size at any speed.
+where :math:`|a| < s_0`; elsewhere :math:`m(a) = |a|`, which goes on twice differentiably, and the
+direction is that of :math:`\pm s`.  The force has full size at any speed.
 """
 
 from __future__ import annotations
@@ -78,14 +80,25 @@ def slides_of(data):
     return open_slides(referenced(data.modes.mode))
 
 
+@plain
+def smooth_size(a, slow):
+    """``m(a)`` of the module's text, and its first and second derivatives."""
+    if abs(a) >= slow:
+        return abs(a), math.copysign(1.0, a), 0.0
+    x = a / slow
+    square = x * x
+    size = slow * (0.375 + square * (0.75 - 0.125 * square))
+    return size, x * (1.5 - 0.5 * square), 1.5 * (1.0 - square) / slow
+
+
 @kernel
 def write_direction(slides, s, first, second):
     """Direction of slip from its two components, near to the last step's."""
-    d0, d1, slow = slides.direction[s, 0], slides.direction[s, 1], slides.numbers.slow
+    d0, d1 = slides.direction[s, 0], slides.direction[s, 1]
     along = first * d0 + second * d1
     p0, p1 = first - along * d0, second - along * d1
-    root = math.sqrt(along * along + slow * slow)
-    e0, e1 = root * d0 + along / root * p0, root * d1 + along / root * p1
+    smooth, slope, _ = smooth_size(along, slides.numbers.slow)
+    e0, e1 = smooth * d0 + slope * p0, smooth * d1 + slope * p1
     size = math.sqrt(e0 * e0 + e1 * e1)
     d0, d1 = e0 / size, e1 / size
     slides.turning[s, 0], slides.turning[s, 1] = d0, d1

@@ -34,7 +34,7 @@ from multiarm.dynamics.equation_derivatives import (
     write_load_derivatives,
 )
 from multiarm.dynamics.row_selection import RowSelection
-from multiarm.dynamics.sliding import friction_of_unit_force, slides_of
+from multiarm.dynamics.sliding import friction_of_unit_force, slides_of, smooth_size
 from multiarm.dynamics.status import OK
 from multiarm.jit.kernels import INTS, kernel
 from multiarm.jit.structs import Floats2, Ints1, referenced, struct_of, view
@@ -130,7 +130,7 @@ def differentiate_slip(s, struct, equations, friction):
     )
     _, sliding, tangents = open_system(referenced(data.modes.tangents))
     slides, at = slides_of(data), equation_columns(data)
-    i, t, slow = slides.block[s], slides.tangent[s], slides.numbers.slow
+    i, t = slides.block[s], slides.tangent[s]
     d0, n, column = (
         system.first_joint[i],
         system.first_joint[i + 1] - system.first_joint[i],
@@ -142,9 +142,9 @@ def differentiate_slip(s, struct, equations, friction):
     d_0, d_1 = slides.turning[s, 0], slides.turning[s, 1]
     first, second = slip_of(sliding.rows.kinematics, t)
     a, b = along_0 * first + along_1 * second, along_0 * second - along_1 * first
-    smooth = a * a + slow * slow
-    size = smooth * smooth + a * a * b * b
-    by_along, by_across = b * (slow * slow - a * a) / size, a * smooth / size
+    smooth, slope, change = smooth_size(a, slides.numbers.slow)
+    size = smooth * smooth + slope * slope * b * b
+    by_along, by_across = b * (change * smooth - slope * slope) / size, slope * smooth / size
     for c in range(columns.end):
         of_first, of_second = sideways.rates[t, c], sideways.rates[t + 1, c]
         angle = by_along * (along_0 * of_first + along_1 * of_second)

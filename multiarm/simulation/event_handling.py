@@ -43,6 +43,7 @@ from multiarm.events.mode import Mode
 from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import IMPACTS, Modes
 from multiarm.events.objects_at_rest import RestDetector
+from multiarm.events.row_dynamics import RowDynamics
 from multiarm.events.taking_hold import Switch, hold_at, require_reach, switch_joints
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
@@ -71,6 +72,9 @@ ACCUMULATED, ACCUMULATION = 20, 1e-3
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
+# Slips slower than so many tolerances, which are the accuracy, are smoothed: errors of velocities
+# within a step, too, are as large.
+SMOOTHED = 10.0
 # Smallest speed of slip with a direction of its own [m/s].
 SLOWEST = 1e-9
 
@@ -111,7 +115,7 @@ class EventHandler:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
         else:
-            slow = 1000.0 * tolerance.position
+            slow = SMOOTHED * tolerance.position
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
@@ -511,6 +515,8 @@ class EventHandler:
 
     def arm(self, run: Run) -> None:
         """Start the guards at the state in the data, which has been evaluated."""
+        if run.settings.adaptive:
+            run.clock.h = min(run.clock.h, self._first_step())
         require_ok(run.data, start_guards(run.data.struct))
         remember_scales(self.modes.guards)
         run.solver_log.reset(run.data)
@@ -527,6 +533,23 @@ class EventHandler:
         self.stop_at_switch(run)
         if self._phase is None:
             self._log_rest(run.clock.t)
+
+    def _first_step(self) -> float:
+        """Longest step from the evaluated state in the data that follows directions of slips [s].
+
+        Velocities orthogonal to a slip s decay at the rate ``mu a_n / |s|``; where it is slow, a
+        step that is much longer enlarges roundings of them to the size of the slip.
+        """
+        slides, tangents = self.modes.slides, self.modes.data.tangents
+        if tangents is None or not slides.row.size:
+            return math.inf
+        rows = RowDynamics(self.modes)
+        jacobian = rows.jacobian([*tangents.rows])
+        friction = np.abs(slides.mu * self.modes.data.arrays.rows.force[slides.row])
+        changes = friction * rows.mobility(jacobian).reshape(-1, 2).max(axis=1)
+        speeds = np.linalg.norm(tangents.contact_rows.gap_rate.reshape(-1, 2), axis=1)
+        least = np.maximum(changes, np.finfo(float).tiny)
+        return float(np.min(np.maximum(speeds, self.modes.slow) / least))
 
     def _log_events(self, events: list[RunEvent]) -> None:
         self.count += len(events)

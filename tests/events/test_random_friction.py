@@ -19,6 +19,7 @@ GRAVITY = -DOWN[2]
 RUNS = [
     ("thrown", 1, 1e-6), ("thrown", 3, 1e-6), ("thrown", 7, 1e-4), ("corner", 1, 1e-6),
     ("corner", 4, 1e-4), ("corner", 8, 1e-6), ("dry_joints", 2, 1e-6), ("dry_joints", 5, 1e-4),
+    ("dry_joints", 19, 1e-4),  # a joint that turns back, and back again, within one step
     ("fingertips", 4, 1e-6), ("fingertips", 7, 1e-4), ("stack", 1, 1e-6), ("mixed", 1, 1e-6),
     ("fingertips", 5, 1e-6), ("fingertips", 9, 1e-6),
 ]  # fmt: skip
@@ -27,9 +28,9 @@ CHATTERING = [
     ("fingertips", 6, 1e-6), ("fingertips", 9, 1e-4), ("stack", 5, 1e-4), ("stack", 9, 1e-4),
     ("mixed", 0, 1e-4), ("stack", 4, 1e-5),
 ]  # fmt: skip
+# Of several sliding contacts in one plane, whose rows are dependent, accelerations lose digits.
+COPLANAR = {("stack", 9): {"overlaps next": 5e-8, "force while it leaves": 5e-8}}
 DIRECTION, POWER = "friction not against slip", "friction power"
-# The direction of slip is smoothed where it is slow; then friction is not quite against it.
-SMOOTHED = {DIRECTION: 0.1, POWER: 2e-5}
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -46,22 +47,33 @@ def test_a_run_completes_and_breaks_no_law_in_any_sample(family, seed, accuracy)
     table = draw(family, seed)
     trajectory = simulate_table(table, accuracy)
     assert trajectory.status == "completed", trajectory.message
-    laws, energy = judge_laws(table, trajectory), judge_energy(trajectory)
-    broken = {law: value for law, value in laws.items() if value > SMOOTHED.get(law, LAWS)}
+    laws, energy = judge_laws(table, trajectory, accuracy), judge_energy(trajectory)
+    broken = {law: value for law, value in laws.items() if value > LAWS}
     del energy["balance"]  # which has the errors of the integration
     created = {works: value for works, value in energy.items() if value > CREATED}
     assert not broken and not created
 
 
+def test_a_box_that_begins_to_slide_is_also_between_steps_where_it_should_be():
+    table, accuracy = draw("thrown", 3), 1e-4
+    coarse, fine = (simulate_table(table, a) for a in (accuracy, 1e-7))
+    assert [event["text"] for event in coarse.events] == [
+        "floor: corner 5 slides", "floor: corner 7 slides",
+    ]  # fmt: skip
+    motion, reference = (next(iter(run.objects.values())) for run in (coarse, fine))
+    np.testing.assert_allclose(motion.position, reference.position, rtol=0, atol=accuracy)
+    np.testing.assert_allclose(motion.twist, reference.twist, rtol=0, atol=10.0 * accuracy)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("family", "seed", "accuracy"), CHATTERING)
 def test_a_run_completes_whose_contacts_chatter(family, seed, accuracy):
-    """Slips are slow there, of which the direction is smoothed: the other laws are kept."""
     table = draw(family, seed)
     trajectory = simulate_table(table, accuracy)
     assert trajectory.status == "completed", trajectory.message
-    laws = judge_laws(table, trajectory)
-    assert not {law: x for law, x in laws.items() if x > LAWS and law not in SMOOTHED}
+    laws = judge_laws(table, trajectory, accuracy)
+    bounds = COPLANAR.get((family, seed), {})
+    assert not {law: x for law, x in laws.items() if x > bounds.get(law, LAWS)}
 
 
 class _Changed:
@@ -115,7 +127,7 @@ def _with_the_slip(forces):
 )
 def test_the_judge_sees_forces_that_break_a_law(sliding, change, laws):
     table, trajectory = sliding
-    figures = judge_laws(table, _with_forces(trajectory, change))
+    figures = judge_laws(table, _with_forces(trajectory, change), 0.0)
     assert all(figures[law] > 1e-5 for law in laws), figures
 
 
@@ -124,7 +136,7 @@ def test_the_judge_sees_a_box_that_is_not_where_its_forces_are(sliding, lift, la
     table, trajectory = sliding
     name, motion = next(iter(trajectory.objects.items()))
     lifted = _Changed(motion, position=motion.position + [0.0, 0.0, lift])
-    figures = judge_laws(table, _Changed(trajectory, objects={name: lifted}))
+    figures = judge_laws(table, _Changed(trajectory, objects={name: lifted}), 0.0)
     assert figures[law] == pytest.approx(1e-8, rel=1e-3)
 
 
@@ -134,7 +146,7 @@ def test_the_judge_sees_dry_joints_with_another_friction():
     trajectory = simulate_table(table, 1e-4)
     friction = table["effects"]["joint_friction"]["torque"]
     friction["left"] = [1.001 * torque for torque in friction["left"]]
-    assert judge_laws(table, trajectory)["dry torque not against the rate"] > 1e-5
+    assert judge_laws(table, trajectory, 1e-4)["dry torque not against the rate"] > 1e-5
 
 
 def test_the_judge_sees_works_that_grow(sliding):

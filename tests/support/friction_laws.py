@@ -24,7 +24,7 @@ CREATED = 2e-11
 SMALL = 1e-3
 """An energy that is small in any of the scenes [J]."""
 SLIPS = 1e-6
-"""Speeds of slip that have a direction, as a part of the largest speed."""
+"""Speeds of slip that have a direction, as a part of the largest speed; and above the accuracy."""
 
 
 def state_at(oracle: Oracle, trajectory: Any, k: int) -> State:
@@ -69,8 +69,10 @@ class _Recorded:
         return base @ (values[first : first + len(axes)] @ axes)
 
 
-def judge_laws(table: Table, trajectory: Any) -> dict[str, float]:
+def judge_laws(table: Table, trajectory: Any, accuracy: float) -> dict[str, float]:
     """The largest violation of each law in any sample; see the module.
+
+    Slips that are slower than the ``accuracy`` of the run may have any direction.
 
     Accelerations of scenes with dry joints or joints that are not ``contacts`` are not judged, for
     their forces are not all recorded; dry friction is where arms with six joints are welded to
@@ -80,7 +82,7 @@ def judge_laws(table: Table, trajectory: Any) -> dict[str, float]:
     welded = [joint["arm"] for joint in table["joints"] if joint["kind"] == "weld"]
     if "joint_friction" in table["effects"] and welded:
         return _dry_joint_laws(oracle, trajectory, welded)
-    return _contact_laws(oracle, trajectory)
+    return _contact_laws(oracle, trajectory, accuracy)
 
 
 def _dry_joint_laws(oracle: Oracle, trajectory: Any, welded: list[str]) -> dict[str, float]:
@@ -124,7 +126,7 @@ def _dry_joint_laws(oracle: Oracle, trajectory: Any, welded: list[str]) -> dict[
     return {"dry torque too large": excess, "dry torque not against the rate": against}
 
 
-def _contact_laws(oracle: Oracle, trajectory: Any) -> dict[str, float]:
+def _contact_laws(oracle: Oracle, trajectory: Any, accuracy: float) -> dict[str, float]:
     table = oracle.table
     recorded = _Recorded(oracle, trajectory)
     whole = "joint_friction" not in table["effects"] and all(
@@ -174,12 +176,13 @@ def _contact_laws(oracle: Oracle, trajectory: Any) -> dict[str, float]:
         "force while it opens": np.max(np.abs(u[..., 0]), where=loaded, initial=0.0) / V,
         "cone": np.max(drag - mu * pushes) / F,
     }
-    slips = slip > SLIPS * V
+    slips = slip > max(SLIPS * V, accuracy)
     along = u[..., 1:] / np.maximum(slip, np.finfo(float).tiny)[..., None]
     against = np.linalg.norm(f[..., 1:] + (mu * pushes)[..., None] * along, axis=-1)
     found["friction not against slip"] = np.max(against, where=slips, initial=0.0) / F
     power = np.sum(f[..., 1:] * u[..., 1:], axis=-1)
-    found["friction power"] = np.max(power + mu * pushes * slip, initial=0.0) / (F * V)
+    too_large = np.max(power + mu * pushes * slip, where=slips, initial=0.0)
+    found["friction power"] = too_large / (F * V)
     if whole:
         touches = (np.abs(gap) < LAWS) & (np.abs(u[..., 0]) < LAWS * V)
         found["overlaps next"] = np.max(-a[..., 0], where=touches, initial=0.0) / A

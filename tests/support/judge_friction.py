@@ -68,7 +68,7 @@ def judge_case(case: Case) -> Judged | None:
         if PROVEN in str(error):
             return None
         raise
-    return Judged(judge_laws(table, trajectory), judge_energy(trajectory))
+    return Judged(judge_laws(table, trajectory, case.accuracy), judge_energy(trajectory))
 
 
 def distance(trajectory: Any, state: Any, k: int = -1) -> float:
