@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import GraspError, SceneError
 from multiarm.grasp import Contacts, PickupError, Polyhedron, plan_pickup
-from multiarm.grasp.pickup.course import HELD, PickupCourse
+from multiarm.grasp.pickup.course import HELD
 from multiarm.grasp.pickup.lying_body import laid_on_face, reached_part
 from multiarm.grasp.pickup.tilting import all_pushes, carried, floor_contacts, weakest_force
 
@@ -381,7 +381,7 @@ def test_a_scene_that_cannot_be_is_refused_and_no_table_written(
 
 
 def test_fingers_below_stay_clear_of_the_floor_at_the_least_lift(block):
-    course = PickupCourse(block, 5.0, block.finger, 4.5)
+    course = block.course(5.0, block.finger, 4.5)
     below = block.grasp.contacts.points[list(block.late)]
     for t in np.linspace(HELD * 4.5, 4.5, 50):
         pose = course.at(t).pose

@@ -25,6 +25,7 @@ next the forces go over smoothly: both sets exert the same wrench, and so does w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -39,8 +40,10 @@ from multiarm.control.object_path import (
     reference_pose,
 )
 from multiarm.errors import GraspError
+from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.forces.force_distribution import distribute_forces
-from multiarm.grasp.pickup.phases import GRIP, LIFT, TILT, PhasedPickup
+from multiarm.grasp.pickup.lying_body import LyingBody, PivotEdge
+from multiarm.grasp.pickup.phases import GRIP, LIFT, TILT, PickupPhase
 from multiarm.grasp.pickup.tilting import UP, floor_contacts
 from multiarm.grasp.scenes import GRAVITY
 from multiarm.spatial import quaternion_to_matrix
@@ -63,7 +66,16 @@ class PickupCourse:
 
     Attributes
     ----------
-    plan : PhasedPickup
+    lies : LyingBody
+    edge : PivotEdge or None
+        About which it is tilted.
+    angle : float
+        Of the tilt [rad].
+    grasp : FaceContacts
+        Contacts of all hands, in the body's frame.
+    phases : sequence of PickupPhase
+    least : float
+        Part of the weight with which every contact presses.
     mass : float
         [kg]
     lift : float
@@ -72,7 +84,12 @@ class PickupCourse:
         [s]
     """
 
-    plan: PhasedPickup
+    lies: LyingBody
+    edge: PivotEdge | None
+    angle: float
+    grasp: FaceContacts
+    phases: Sequence[PickupPhase]
+    least: float
     mass: float
     lift: float
     duration: float
@@ -80,21 +97,21 @@ class PickupCourse:
     @cached_property
     def _pivot(self) -> np.ndarray:
         """A point of the edge, or the centre of mass, in the world as the body lies (3,) [m]."""
-        lies, edge = self.plan.lies, self.plan.edge
-        return lies.at(lies.body.centre) if edge is None else edge.point
+        at_centre = self.lies.at(self.lies.body.centre)
+        return at_centre if self.edge is None else self.edge.point
 
     @cached_property
     def _path(self) -> PosePath:
         """Of a frame at the pivot."""
         start, raised = np.eye(4), np.eye(4)
         start[:3, 3], raised[:3, 3] = self._pivot, self._pivot + self.lift * UP
-        tilted = self.plan.motion(1.0) @ start
+        tilted = start if self.edge is None else self.edge.turned(self.angle) @ start
         times = [part * self.duration for part in (GRIPPED, TILTED, CLOSED, LIFTED)]
         return pose_path(times, [start, tilted, tilted, raised])
 
     def at(self, t: float) -> ObjectMotion:
         """The body's motion at a time [s]."""
-        lies = self.plan.lies
+        lies = self.lies
         quaternion, twist, change = reference_motion(t, self._path)
         turn = quaternion_to_matrix(quaternion)
         motion = np.eye(4)
@@ -118,7 +135,7 @@ class PickupCourse:
             The contacts do not exert what the motion takes: it is too fast.
         """
         x = t / self.duration
-        tilting = GRIP if self.plan.edge is None else TILT
+        tilting = GRIP if self.edge is None else TILT
         if x < GRIPPED:
             return self._between(t, GRIP, tilting, (x - RESTED) / (GRIPPED - RESTED))
         return self._between(t, tilting, LIFT, (x - HELD) / (CLOSED - HELD))
@@ -133,27 +150,26 @@ class PickupCourse:
 
     def _of_phase(self, t: float, name: str) -> np.ndarray:
         """Forces (N,) of least norm with the contacts of a phase [N]."""
-        plan, phase, motion = self.plan, self.plan.phase(name), self.at(t)
-        body, contacts = plan.lies.body, plan.grasp.contacts
-        pushes = contacts.subset(phase.contacts)
+        phase, motion = next(phase for phase in self.phases if phase.name == name), self.at(t)
+        pushes = self.grasp.contacts.subset(phase.contacts)
         if phase.floor:
-            pushes = pushes.joined(floor_contacts(body, motion.pose, phase.floor))
+            pushes = pushes.joined(floor_contacts(self.lies.body, motion.pose, phase.floor))
         weight = self.mass * abs(GRAVITY[2])
         shares = distribute_forces(
-            pushes, self._wrench(motion), minimum=plan.least * weight, objective="norm"
+            pushes, self._wrench(motion), minimum=self.least * weight, objective="norm"
         )
         if shares.forces is None:
             raise GraspError(
                 f"at {t:.3g} s, in the phase {name!r}, {shares.message}; the motion is too fast, "
                 "choose a longer duration"
             )
-        forces = np.zeros(len(contacts))
+        forces = np.zeros(len(self.grasp.contacts))
         forces[list(phase.contacts)] = shares.forces[: len(phase.contacts)]
         return forces
 
     def _wrench(self, motion: ObjectMotion) -> np.ndarray:
         """What the contacts exert, (6,) in the body's frame about its origin [N, N m]."""
-        body, R = self.plan.lies.body, motion.pose[:3, :3]
+        body, R = self.lies.body, motion.pose[:3, :3]
         force = self.mass * R.T @ (motion.acceleration[:3] - np.array(GRAVITY))
         inertia = body.mass_properties(self.mass).inertia
         omega, alpha = R.T @ motion.twist[3:], R.T @ motion.acceleration[3:]

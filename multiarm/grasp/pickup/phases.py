@@ -26,8 +26,7 @@ import numpy as np
 from multiarm.errors import GraspError
 from multiarm.grasp.closure.form_closure import FormClosure, is_form_closure
 from multiarm.grasp.contacts import Contacts
-from multiarm.grasp.grasp import Grasp
-from multiarm.grasp.pickup.lying_body import LyingBody, PivotEdge
+from multiarm.grasp.pickup.lying_body import PivotEdge
 from multiarm.notation import count_of
 
 GRIP, TILT, TAKE_HOLD, LIFT = "grip", "tilt", "take hold", "lift"
@@ -119,84 +118,3 @@ class PickupError(GraspError):
     def __init__(self, message: str, refusals: Sequence[PickupRefusal] = ()) -> None:
         super().__init__(message)
         self.refusals = tuple(refusals)
-
-
-@dataclass(frozen=True, eq=False)
-class PhasedPickup:
-    """How two grippers pick a body up from the floor: contacts, an edge, phases.
-
-    Attributes
-    ----------
-    lies : LyingBody
-        The body, and how it lies.
-    free_faces : tuple of int
-        Faces that fingertips reach while it lies.
-    edge : PivotEdge or None
-        About which it is tilted; None: it is picked up as it lies.
-    angle : float
-        Of the tilt [rad].
-    grasp : Grasp
-        Seven contacts in form closure, in the body's frame.
-    late : tuple of int
-        Contacts of the grasp that take hold when the body is tilted.
-    phases : tuple of PickupPhase
-        In turn.
-    finger, tip_radius : float
-        Height that a contact needs above the floor, and radius of fingertips [m].
-    least : float
-        Part of the weight with which every contact presses.
-    refused : tuple of PickupRefusal
-        Why the other ways were not taken: with proof, because no contacts or no better ones were
-        found, or because theirs are worse.
-    """
-
-    lies: LyingBody
-    free_faces: tuple[int, ...]
-    edge: PivotEdge | None
-    angle: float
-    grasp: Grasp
-    late: tuple[int, ...]
-    phases: tuple[PickupPhase, ...]
-    finger: float
-    tip_radius: float
-    least: float
-    refused: tuple[PickupRefusal, ...] = ()
-
-    @property
-    def largest(self) -> float:
-        """The largest force of a hand's contact in any phase, over the weight."""
-        return max(phase.largest for phase in self.phases)
-
-    def phase(self, name: str) -> PickupPhase:
-        """A phase by its name.
-
-        Raises
-        ------
-        GraspError
-            The plan has no such phase.
-        """
-        for phase in self.phases:
-            if phase.name == name:
-                return phase
-        names = ", ".join(phase.name for phase in self.phases)
-        raise GraspError(f"the plan has no phase {name!r}; phases are {names}")
-
-    def motion(self, part: float) -> np.ndarray:
-        """Motion (4, 4) in the world that has tilted the body by a part of the angle."""
-        return np.eye(4) if self.edge is None else self.edge.turned(part * self.angle)
-
-    def __str__(self) -> str:
-        body = self.lies.body
-        free = ", ".join(body.names[k] for k in self.free_faces)
-        lines = [f"the body lies on {body.names[self.lies.face]}; free are {free}"]
-        if self.edge is None:
-            lines.append("it is picked up as it lies")
-        else:
-            late = ", ".join(self.grasp.contacts.names[j] for j in self.late)
-            lines.append(
-                f"it is tilted about {self.edge.name} by {np.degrees(self.angle):.1f} deg, then "
-                f"{body.names[self.lies.face]} is free for {late}"
-            )
-        lines += [str(phase) for phase in self.phases]
-        lines += [f"not {refusal}" for refusal in self.refused]
-        return "\n".join(lines)

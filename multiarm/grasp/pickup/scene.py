@@ -18,7 +18,7 @@ So hands press as planned as long as they are where they should be, and springs 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
@@ -35,7 +35,6 @@ from multiarm.grasp.face_contacts import FaceContacts, Gripper
 from multiarm.grasp.pickup.course import CLOSED, HELD, LIFTED, RESTED, TILTED, PickupCourse
 from multiarm.grasp.pickup.from_above import DESCENTS, approach_from_above
 from multiarm.grasp.pickup.lying_body import DOWN
-from multiarm.grasp.pickup.phases import PhasedPickup
 from multiarm.grasp.scenes import GRAVITY, arm_table, object_table
 from multiarm.grasp.scenes.hands import (
     PEDESTAL_COST,
@@ -74,35 +73,46 @@ REACHED, STEPS = 1e-11, 20
 
 
 def pickup_scene(
-    plan: PhasedPickup,
+    course: PickupCourse,
     arms: Sequence[str],
     *,
+    late: Collection[int],
+    finger: float,
+    tip_radius: float,
     table: str | Path,
-    mass: float,
     hand_mass: float,
-    lift: float,
-    duration: float,
     accuracy: float,
     name: str | None,
     seed: int,
     progress: bool | Progress | None,
 ) -> Scene:
-    """:meth:`multiarm.grasp.PickupPlan.to_scene`, which describes the numbers."""
-    numbers = {"mass": mass, "hand_mass": hand_mass, "lift": lift, "accuracy": accuracy}
+    """:meth:`multiarm.grasp.PickupPlan.to_scene`, which describes the numbers.
+
+    Parameters
+    ----------
+    course : PickupCourse
+    arms : sequence of str
+    late : collection of int
+        Contacts that take hold when the body is tilted.
+    finger, tip_radius : float
+        Height that a contact needs above the floor, and radius of fingertips [m].
+    table, hand_mass, accuracy, name, seed, progress
+    """
+    duration, lift = course.duration, course.lift
+    numbers = {"mass": course.mass, "hand_mass": hand_mass, "lift": lift, "accuracy": accuracy}
     for what, value in numbers.items():
         number_of(value, f"{what} is greater than 0", above=0.0)
     number_of(duration, f"duration is at least {SHORTEST:g} s", at_least=SHORTEST)
-    if plan.late:  # both ends of the way are high enough, and so is what lies between
-        needed = f"lift is at least {plan.finger:g} m, which the fingers below the body need"
-        number_of(lift, needed, at_least=plan.finger)
-    specs = _specs(arms, len(plan.grasp.grippers))
+    if late:  # both ends of the way are high enough, and so is what lies between
+        needed = f"lift is at least {finger:g} m, which the fingers below the body need"
+        number_of(lift, needed, at_least=finger)
+    specs = _specs(arms, len(course.grasp.grippers))
     path = _path_of(table)
     rng = generator_of(seed, "seed")
-    course = PickupCourse(plan, mass, lift, duration)
     centre = np.eye(4)
-    centre[:3, 3] = plan.lies.body.centre  # an object's frame is at its centre of mass
-    grasp = plan.grasp.placed(np.linalg.inv(centre))
-    require_room(grasp, plan.tip_radius)
+    centre[:3, 3] = course.grasp.body.centre  # an object's frame is at its centre of mass
+    grasp = course.grasp.placed(np.linalg.inv(centre))
+    require_room(grasp, tip_radius)
     times = np.linspace(0.0, duration, 1 + round(duration / PERIOD))
     poses = [course.at(t).pose @ centre for t in times]
     forces = np.array([course.forces(t) for t in times])
@@ -111,19 +121,19 @@ def pickup_scene(
     with displayed(progress, PartProgress) as show:
         for number, (spec, gripper) in enumerate(zip(specs, grasp.grippers, strict=True)):
             show(number / len(specs), f"postures of '{gripper.name}'")
-            early = _part(plan, gripper, late=False)
-            stand = _stand(plan, grasp, early, spec, course, centre, rng)
-            arm = arm_table(grasp, early, spec, stand, plan.tip_radius, hand_mass)
+            early = _early_part(gripper, late)
+            stand = _stand(course, grasp, early, spec, tip_radius, centre, rng)
+            arm = arm_table(grasp, early, spec, stand, tip_radius, hand_mass)
             hand = _Hand(grasp, gripper, ArmSpec(**arm))
             postures = hand.postures(stand.reach.postures[0], poses)
             written[gripper.arm_name] = {**arm, "posture": postures[0].tolist()}
             references |= hand.references(times, postures, poses, forces)
     scene = Scene(
-        name=name or f"{len(specs)} arms pick a body of {len(plan.lies.body.faces)} faces up",
+        name=name or f"{len(specs)} arms pick a body of {len(grasp.body.faces)} faces up",
         gravity=GRAVITY,
-        object={**object_table(grasp.body, mass, None), "pose": pose_table(poses[0])},
+        object={**object_table(grasp.body, course.mass, None), "pose": pose_table(poses[0])},
         arms=written,
-        joints=list(_joints(plan, grasp, HELD * duration)),
+        joints=list(_joints(grasp, late, tip_radius, HELD * duration)),
         control={
             "kind": "recorded",
             "file": str(path),
@@ -175,26 +185,32 @@ def _specs(arms: Sequence[str], count: int) -> list[ArmSpec]:
     return [ArmSpec(robot=robot, tip=find_robot(robot).tip) for robot in arms]
 
 
-def _part(plan: PhasedPickup, gripper: Gripper, late: bool) -> Gripper:
-    """A gripper with those of its contacts that take hold late, or with the others."""
-    own = tuple(j for j in gripper.contacts if (j in plan.late) == late)
-    return replace(gripper, contacts=own)
+def _early_part(gripper: Gripper, late: Collection[int]) -> Gripper:
+    """A gripper with those of its contacts that hold all the time."""
+    return replace(gripper, contacts=tuple(j for j in gripper.contacts if j not in late))
 
 
-def _joints(plan: PhasedPickup, grasp: FaceContacts, begin: float) -> Iterator[dict[str, Any]]:
+def _late_part(gripper: Gripper, late: Collection[int]) -> Gripper:
+    """A gripper with those of its contacts that take hold late."""
+    return replace(gripper, contacts=tuple(j for j in gripper.contacts if j in late))
+
+
+def _joints(
+    grasp: FaceContacts, late: Collection[int], tip_radius: float, begin: float
+) -> Iterator[dict[str, Any]]:
     """The joints of all grippers: contacts on free faces, and those that hold from a time on."""
     for gripper in grasp.grippers:
-        early, late = (_part(plan, gripper, late) for late in (False, True))
-        tips = contacts(grasp, late, plan.tip_radius)
+        below = _late_part(gripper, late)
+        tips = contacts(grasp, below, tip_radius)
         for tip in tips:
             tip["arm"]["sphere"]["radius"] -= LATE_GAP
         of_both = {"kind": "contacts", "at": pose_table(gripper.frame)}
         yield {
             "arm": gripper.arm_name,
             **of_both,
-            "contacts": contacts(grasp, early, plan.tip_radius),
+            "contacts": contacts(grasp, _early_part(gripper, late), tip_radius),
         }
-        if late.contacts:
+        if below.contacts:
             yield {
                 "between": [gripper.arm_name, "object"],
                 "name": f"{gripper.arm_name}_below",
@@ -208,11 +224,11 @@ def _joints(plan: PhasedPickup, grasp: FaceContacts, begin: float) -> Iterator[d
 
 
 def _stand(
-    plan: PhasedPickup,
+    course: PickupCourse,
     grasp: FaceContacts,
     early: Gripper,
     spec: ArmSpec,
-    course: PickupCourse,
+    tip_radius: float,
     centre: np.ndarray,
     rng: np.random.Generator,
 ) -> Stand:
@@ -228,7 +244,7 @@ def _stand(
     poses = [course.at(part * course.duration).pose @ centre for part in parts]
     search = StandSearch(robot, poses, clear_of_body(grasp.body), rng)
     reach = farthest(robot.arm, rng)
-    stand = search.best(_places(grasp, early, poses[0], reach, plan.tip_radius))
+    stand = search.best(_places(grasp, early, poses[0], reach, tip_radius))
     if stand is None or stand.reach.quality < POOREST:
         raise UnreachableError(
             f"the arm of '{early.name}' reaches its contacts from nowhere nearby on the whole way; "
