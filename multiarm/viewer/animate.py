@@ -85,7 +85,7 @@ def animate(trajectory: Trajectory, *, fps: float, speed: float, meshes: bool) -
         bodies += region_bodies(grasp, trajectory, rows, colors)
     plain = grasp is not None and grasp.body is not None  # its faces are the object's own
     bodies += surface_bodies(system, trajectory, poses, colors, faces=not plain)
-    ground = ground_bodies(trajectory, rows, object_size(system))
+    ground = ground_bodies(trajectory, rows, object_size(system), feet)
     bodies += ground
     floors += [lowest(body) for body in ground]
     floor = min(floors or map(lowest, bodies))
@@ -287,16 +287,19 @@ def _turned_outwards(on_object: np.ndarray) -> np.ndarray:
 GROUND_COLOR = np.array([0.62, 0.65, 0.69])
 # Thickness of the slab over its shorter side, and its margin over the object's size.
 GROUND_THICKNESS, GROUND_MARGIN = 0.02, 3.0
+FOOT = 0.2  # room of a robot's base on the slab, to each side [m]
 # Radius of a column over its height, at least and at most [m]; lower ones are not drawn.
 SLENDER, THINNEST, THICKEST, LOWEST = 0.2, 0.03, 0.1, 0.02
 UPRIGHT = 0.99  # vertical part of a base's axis z, at least
 
 
-def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list[Body]:
+def ground_bodies(
+    trajectory: Trajectory, rows: np.ndarray, size: float, feet: dict[str, np.ndarray]
+) -> list[Body]:
     """Return the floor at some samples (`rows`) as a fixed body; an empty list without a floor.
 
     ``size`` is about half that of the largest object [m].  An unbounded floor is drawn below the
-    whole paths of the objects with a margin.
+    whole paths of the objects with a margin, and below upright robots, which stand at ``feet``.
     """
     spec = trajectory.scene.effects.floor
     if spec is None:
@@ -306,9 +309,13 @@ def ground_bodies(trajectory: Trajectory, rows: np.ndarray, size: float) -> list
     over = (paths - pose[:3, 3]) @ pose[:3, :3]
     middle, sides = np.zeros(3), np.zeros(3)
     if spec.size is None:
-        low, high = over.min(axis=0), over.max(axis=0)
+        low, high = over.min(axis=0) - GROUND_MARGIN * size, over.max(axis=0) + GROUND_MARGIN * size
+        for foot in feet.values():
+            if foot[2, 2] >= UPRIGHT:
+                at = (foot[:3, 3] - spec.at.matrix()[:3, 3]) @ pose[:3, :3]
+                low, high = np.minimum(low, at - FOOT), np.maximum(high, at + FOOT)
         middle[:2] = 0.5 * (low + high)[:2]
-        sides[:2] = (high - low)[:2] + 2.0 * GROUND_MARGIN * size
+        sides[:2] = (high - low)[:2]
     else:
         sides[:2] = spec.size
     sides[2] = GROUND_THICKNESS * sides[:2].min()

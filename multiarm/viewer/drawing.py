@@ -22,9 +22,10 @@ import numpy as np
 
 from multiarm.geometry.triangle_mesh import TriangleMesh, merge, sharp_edges
 from multiarm.viewer import commands
-from multiarm.viewer.animation import Animation, Body
+from multiarm.viewer.animation import Animation, Body, rotations
 from multiarm.viewer.commands import ROOT, Command, Script
 from multiarm.viewer.glyphs import Hinges, Marks, arrow, draw_events
+from multiarm.viewer.sight import AZIMUTH, ELEVATION, clear_azimuth, view_axes
 from multiarm.viewer.solids import Z_TO_X
 
 FAINT = 0.3  # of a surface's opacity, while nothing touches it
@@ -41,7 +42,8 @@ def draw(animation: Animation, speed: float = 1.0) -> list[Command]:
     script, points, size = Script(), animation.extent(), animation.size()
     marks, hinges = Marks(animation, size), Hinges(animation, size)
     reach = [hinges.points(hinge) for hinge in animation.hinges]
-    view = frame(np.concatenate([points, animation.tails(marks.longest), *reach]))
+    shown = np.concatenate([points, animation.tails(marks.longest), *reach])
+    view = frame(shown, clear_azimuth(animation))
     draw_stage(script, view, points, size, animation.floor)
     for i, body in enumerate(animation.bodies):
         _draw_body(body, i % LAYERS, script)
@@ -92,7 +94,7 @@ def draw_stage(script: Script, view: Camera, points: np.ndarray, size: float, fl
 
     Points, shape (P, 3), and the floor's height are in the world [m], as the scene's `size`.
     """
-    script.add(*_look(view, size), *_light(points - view.target, size))
+    script.add(*_look(view, size), *_light(points - view.target, size, view.azimuth - AZIMUTH))
     x, y = (points[:, :2].min(axis=0) + points[:, :2].max(axis=0)) / 2
     ground = np.array([x, y, floor - 1e-3 * size])  # nothing on the floor flickers through it
     script.put("floor/shadows", commands.shadow_catcher(8 * size, 0.17))
@@ -114,10 +116,14 @@ def _look(view: Camera, size: float) -> list[Command]:
     ]
 
 
-def _light(points: np.ndarray, size: float) -> list[Command]:
-    """Return background and lights for `points` (P, 3) about the origin of the view."""
+def _light(points: np.ndarray, size: float, turn: float) -> list[Command]:
+    """Return background and lights for `points` (P, 3) about the origin of the view.
+
+    They are turned with the camera, from its usual place by an angle [rad].
+    """
+    turned = rotations(np.array([[0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)]]))[0]
     sky = commands.light("HemisphereLight", np.array([0, 0, 1]), 0.62, groundColor=0xC9C2B8)
-    fill = commands.light("DirectionalLight", FILL_DIRECTION, 0.22)
+    fill = commands.light("DirectionalLight", turned @ FILL_DIRECTION, 0.22)
     return [
         commands.set_property("/Background", "top_color", TOP_COLOR),
         commands.set_property("/Background", "bottom_color", BOTTOM_COLOR),
@@ -126,16 +132,16 @@ def _light(points: np.ndarray, size: float) -> list[Command]:
         commands.set_property("/Lights/Sky/<object>", "castShadow", False),
         commands.set_object("/Lights/Fill", fill),
         commands.set_property("/Lights/Fill/<object>", "castShadow", False),
-        commands.set_object("/Lights/Key", _key_light(points, size)),
+        commands.set_object("/Lights/Key", _key_light(points, size, turned @ LIGHT_DIRECTION)),
     ]
 
 
-def _key_light(points: np.ndarray, size: float) -> dict[str, Any]:
-    """Return the light that casts shadows; its shadow camera covers just the `points`."""
-    right = np.cross([0, 0, 1], LIGHT_DIRECTION)
+def _key_light(points: np.ndarray, size: float, direction: np.ndarray) -> dict[str, Any]:
+    """Return the light that casts shadows; its shadow camera covers just the `points`, (P, 3)."""
+    right = np.cross([0, 0, 1], direction)
     right /= np.linalg.norm(right)
-    up = np.cross(LIGHT_DIRECTION, right)
-    x, y, height = points @ right, points @ up, points @ LIGHT_DIRECTION
+    up = np.cross(direction, right)
+    x, y, height = points @ right, points @ up, points @ direction
     distance, pad = height.max() + size, 0.05 * size
     lens = {
         "type": "OrthographicCamera",
@@ -153,7 +159,7 @@ def _key_light(points: np.ndarray, size: float) -> dict[str, Any]:
         "normalBias": 1.5e-3 * size,
         "radius": 3,
     }
-    return commands.light("DirectionalLight", distance * LIGHT_DIRECTION, 0.52, shadow=shadow)
+    return commands.light("DirectionalLight", distance * direction, 0.52, shadow=shadow)
 
 
 def _grid(ground: np.ndarray, size: float) -> dict[str, Any]:
@@ -192,7 +198,6 @@ FIELD_OF_VIEW = 26.0  # vertical [deg]; a long lens keeps parallels nearly paral
 ASPECT = 1.6  # width / height of the picture that is framed
 MARGIN = 0.82  # of the picture that the scene may fill; the rest is for title and time bar
 LIFT = 0.03  # of the picture's half height: the time bar is taller than the title
-AZIMUTH, ELEVATION = np.deg2rad(-58.0), np.deg2rad(22.0)
 
 
 @dataclass(frozen=True)
@@ -201,6 +206,7 @@ class Camera:
 
     position: np.ndarray
     target: np.ndarray
+    azimuth: float = AZIMUTH  # of the position, seen from the target [rad]
 
     @property
     def distance(self) -> float:
@@ -208,9 +214,9 @@ class Camera:
         return float(np.linalg.norm(self.position - self.target))
 
 
-def frame(points: np.ndarray) -> Camera:
-    """Return a view from the front right and above that holds all `points`, (P, 3), world [m]."""
-    towards, right, up = view_axes(AZIMUTH, ELEVATION)
+def frame(points: np.ndarray, azimuth: float = AZIMUTH) -> Camera:
+    """Return a view from above that holds all `points`, (P, 3), world [m]; from the front right."""
+    towards, right, up = view_axes(azimuth, ELEVATION)
     tan_y = np.tan(np.deg2rad(FIELD_OF_VIEW) / 2) * MARGIN
     tan_x = tan_y * ASPECT
     target = (points.min(axis=0) + points.max(axis=0)) / 2
@@ -225,12 +231,4 @@ def frame(points: np.ndarray) -> Camera:
             + (y_seen.min() + y_seen.max()) / 2 * distance * up
         )
     target = target - LIFT * tan_y * distance * up
-    return Camera(target - distance * towards, target)
-
-
-def view_axes(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the unit vectors (towards the scene, right, up) of a view with z upwards."""
-    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    towards = -np.array([ca * ce, sa * ce, se])
-    right = np.array([-sa, ca, 0.0])
-    return towards, right, np.cross(right, towards)
+    return Camera(target - distance * towards, target, azimuth)

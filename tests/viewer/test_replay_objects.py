@@ -9,8 +9,12 @@ from scipy.spatial.transform import Rotation
 
 import multiarm as ma
 from multiarm.scene import parse_scene
-from multiarm.viewer.animate import animate
-from multiarm.viewer.animation import Animation
+from multiarm.viewer.animate import animate, ground_bodies
+from multiarm.viewer.animation import Animation, Body
+from multiarm.viewer.contact_tracks import placed
+from multiarm.viewer.drawing import draw
+from multiarm.viewer.sight import clear_azimuth
+from multiarm.viewer.solids import box, sphere
 
 NAMES = ["beam", "ball", "plate"]
 
@@ -83,3 +87,58 @@ def test_each_object_has_its_contacts_with_the_floor_below_all_of_them():
     for motion in run.objects.values():
         assert (corners[:, :2].min(axis=0) < motion.position[0, :2]).all()
         assert (motion.position[0, :2] < corners[:, :2].max(axis=0)).all()
+
+
+def test_the_floor_lies_below_upright_robots_too():
+    run, away, hung = run_of(boxes_on_a_floor(), 0.02), np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])
+    away[:3, 3], hung[:3, 3] = [4.0, -3.0, 0.5], [0.0, 20.0, 3.0]
+
+    def corners(feet):
+        (floor,) = ground_bodies(run, np.array([0]), 0.1, feet)
+        return (floor.mesh.vertices + floor.position[0])[:, :2]
+
+    low, high = (np.min(corners({}), axis=0), np.max(corners({}), axis=0))
+    assert high[0] < 4.0 and low[1] > -3.0
+    wide = corners({"away": away, "hung": hung})
+    np.testing.assert_allclose(wide.min(axis=0), [low[0], -3.2], rtol=1e-9)
+    np.testing.assert_allclose(wide.max(axis=0), [4.2, high[1]], rtol=1e-9)
+
+
+# --- from where they are seen ---------------------------------------------------------------------
+
+
+def staged(*walls: tuple[float, float]) -> Animation:
+    """A ball at the origin, and upright walls of a robot at places (x, y) that face it."""
+    ball = Body("objects/ball", sphere(0.1), *placed([np.eye(4)]), np.ones(3))
+    bodies = [ball]
+    for k, (x, y) in enumerate(walls):
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_euler("z", np.arctan2(y, x)).as_matrix()
+        pose[:2, 3] = x, y
+        bodies.append(Body(f"arms/a/{k}", box([0.02, 0.6, 2.0]), *placed([pose]), np.ones(3)))
+    return Animation("", np.zeros(1), bodies)
+
+
+def ahead(turn: float) -> tuple[float, float]:
+    """A place in front of the origin for a camera that is turned by an angle [deg]."""
+    angle = np.deg2rad(-58.0 + turn)
+    return 0.5 * np.cos(angle), 0.5 * np.sin(angle)
+
+
+@pytest.mark.parametrize(
+    ("walls", "turn"),
+    [([], 0.0), ([180.0], 0.0), ([0.0], -60.0), ([0.0, -60.0], 60.0), ([-60, 0.0, 60], -120.0)],
+    ids=["nothing before it", "behind it", "in front", "one beside", "both beside"],
+)
+def test_the_camera_looks_from_where_robots_do_not_hide_the_objects(walls, turn):
+    azimuth = clear_azimuth(staged(*map(ahead, walls)))
+    np.testing.assert_allclose(np.rad2deg(azimuth), -58.0 + turn)
+
+
+def test_lights_are_turned_with_the_camera():
+    def fill(animation):
+        (light,) = [c for c in draw(animation) if c["path"] == "/Lights/Fill"]
+        return np.array(light["object"]["object"]["matrix"][12:15])
+
+    turned = Rotation.from_euler("z", -60.0, degrees=True).apply(fill(staged()))
+    np.testing.assert_allclose(fill(staged(ahead(0.0))), turned, atol=1e-12)

@@ -16,7 +16,7 @@ from refusals import refused
 from multiarm.errors import ReplayError
 from multiarm.geometry.triangle_mesh import merge, shade, sharp_edges
 from multiarm.scene import ObjectSpec
-from multiarm.viewer import drawing, page
+from multiarm.viewer import drawing, page, sight
 from multiarm.viewer.animate import frame_rows
 from multiarm.viewer.animation import Animation, Body, ContactTracks, along, continuous, rotations
 from multiarm.viewer.drawing import draw
@@ -137,7 +137,7 @@ def test_quaternion_signs_do_not_flip_between_frames():
 def test_camera_holds_all_points_and_uses_the_picture(size):
     points = size * (np.random.default_rng(3).normal(size=(200, 3)) * [2, 1, 0.5] + [7, -3, 1])
     view = drawing.frame(points)
-    towards, right, up = drawing.view_axes(drawing.AZIMUTH, drawing.ELEVATION)
+    towards, right, up = sight.view_axes(sight.AZIMUTH, sight.ELEVATION)
     np.testing.assert_allclose(view.target - view.position, view.distance * towards, rtol=1e-9)
     depth = (points - view.position) @ towards
     tan_y = np.tan(np.deg2rad(drawing.FIELD_OF_VIEW) / 2)
