@@ -35,6 +35,7 @@ from multiarm.assembly.reaching import (
     write_jacobian,
     write_poses,
 )
+from multiarm.geometry.poses import pose_matrix
 from multiarm.jit.rows import fields_of
 from multiarm.robots.chain import ChainJoint, require_chain
 from multiarm.robots.robot import Robot
@@ -223,8 +224,8 @@ class TreeKinematics:
         """
         x = np.asarray(posture, dtype=float)[self._tree.independent]
         poses, columns = self._poses(self._tree, x)
-        frame, pose = fields_of(LinkPose, poses[self._tree.first[number]]), np.eye(4)
-        pose[:3, :3], pose[:3, 3] = frame.axes, frame.origin
+        frame = fields_of(LinkPose, poses[self._tree.first[number]])
+        pose = pose_matrix(frame.axes, frame.origin)
         J = np.empty((6, x.size))
         write_jacobian(self._tree, number, poses, columns, J)
         return pose, J
@@ -325,8 +326,8 @@ class InverseKinematics(TreeKinematics):
         to_limits: bool = False,
     ) -> None:
         self.arm, self.free = arm, tuple(free)
-        self._structure, tip = require_chain(arm.structure(), arm.tip.joint), np.eye(4)
-        tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
+        self._structure = require_chain(arm.structure(), arm.tip.joint)
+        tip = pose_matrix(arm.tip.rotation, arm.tip.translation)
         end = tip if frame is None else tip @ frame
         length = 0.5 * float(np.max(arm.levers(end[:3, 3]))) if to_limits else LENGTH
         ranges = Ranges.of_joints(arm.position_limits, self._structure.slides, to_limits)
@@ -384,8 +385,8 @@ class InverseKinematics(TreeKinematics):
                 frame[:3, :3] = frame[:3, :3] @ Pose(rpy=(x, y, z)).rotation()
         if max(varied) < 3:
             frame[:3, :3] = base.rotation()
-        structure, mount = self._structure, np.eye(4)
-        mount[:3, :3], mount[:3, 3] = structure.rotations[0], structure.translations[0]
+        structure = self._structure
+        mount = pose_matrix(structure.rotations[0], structure.translations[0])
         frames.append(frame @ np.linalg.solve(self.arm.files.base, mount))
         slides = [k < 3 for k in BASE_JOINTS if k in varied]
         moved = _on_joints(structure, slides, axes, np.array(frames))

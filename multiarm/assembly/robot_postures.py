@@ -38,6 +38,7 @@ from multiarm.assembly.inverse_kinematics import (
 )
 from multiarm.assembly.kinematic_tree import Coupling, LinkFrame, Ranges, Target, way_to
 from multiarm.assembly.reaching import REACHED
+from multiarm.geometry.poses import pose_matrix
 from multiarm.geometry.records import basis
 from multiarm.notation import number
 from multiarm.robots.robot import Robot
@@ -291,8 +292,8 @@ def _link_frame(
         return LinkFrame(-1, pose)
     if body.robot != arm.name:
         return LinkFrame(-1, at_rest(body) @ pose)
-    tip, frame = arm.tips[body.tip], np.eye(4)
-    frame[:3, :3], frame[:3, 3] = tip.rotation, tip.translation
+    tip = arm.tips[body.tip]
+    frame = pose_matrix(tip.rotation, tip.translation)
     if tip.chain.size == arm.base_dof:  # on the base
         return LinkFrame(-1, _base_of(arm) @ frame @ pose if arm.floats else frame @ pose)
     return LinkFrame(int(tip.chain[-1]) - arm.base_dof, frame @ pose)
@@ -300,9 +301,7 @@ def _link_frame(
 
 def _base_of(robot: Robot) -> np.ndarray:
     """Pose (4, 4) of a floating base as written."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = quaternion_to_matrix(robot.base_pose[3:]), robot.base_pose[:3]
-    return pose
+    return pose_matrix(quaternion_to_matrix(robot.base_pose[3:]), robot.base_pose[:3])
 
 
 class _Lengths:

@@ -11,6 +11,7 @@ from multiarm.contacts.table import ContactTable, move_on_object, on_object
 from multiarm.contacts.unilateral import TimedJoint
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.model import Model
+from multiarm.geometry.poses import pose_matrix
 from multiarm.jit.rows import field_of
 from multiarm.jit.vectors import cross
 
@@ -110,7 +111,7 @@ class JointPlace:
 
     def _seen_by_scene(self) -> np.ndarray:
         now = self._data.model.frames_on_bodies(self._joint.connection)
-        pose = self._of_scene @ _pose(now.on_object, now.origin_on_object)
+        pose = self._of_scene @ pose_matrix(now.on_object, now.origin_on_object)
         pose[:3, :3] = pose[:3, :3] @ self._joint.axes.T
         return pose
 
@@ -126,10 +127,4 @@ class JointPlace:
 
 
 def _inverse(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    return _pose(rotation.T, -rotation.T @ origin)
-
-
-def _pose(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, origin
-    return pose
+    return pose_matrix(rotation.T, -rotation.T @ origin)

@@ -25,6 +25,7 @@ from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.effects.joint_damping import JointDamping
 from multiarm.errors import ModelError
+from multiarm.geometry.poses import pose_matrix
 from multiarm.robots.robot import Robot
 from multiarm.scene import RunSpec
 from multiarm.studies.timing import OutOfTime
@@ -240,9 +241,8 @@ def links(arm: Robot) -> Iterator[Link]:
 
 def tip_frame(system: System, name: str) -> np.ndarray:
     """The frame of an arm's joint to the object on the link of its tip, shape (4, 4)."""
-    arm, tip = system.arms[name], np.eye(4)
-    tip[:3, :3], tip[:3, 3] = arm.tip.rotation, arm.tip.translation
-    return tip @ system.frames[name].on_tip
+    tip = system.arms[name].tip
+    return pose_matrix(tip.rotation, tip.translation) @ system.frames[name].on_tip
 
 
 def joint_ends(joint: Any, lacks: str) -> tuple[float, ...]:

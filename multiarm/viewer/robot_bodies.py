@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from multiarm.geometry.poses import pose_matrix
 from multiarm.geometry.triangle_mesh import TriangleMesh, merge
 from multiarm.robots.robot import Robot
 from multiarm.scene.faults import counted
@@ -207,10 +208,8 @@ def _reach(arm: Robot, base: np.ndarray) -> float:
 def _bar(start: np.ndarray, end: np.ndarray, radius: float) -> TriangleMesh:
     span = end - start
     length = float(np.linalg.norm(span))
-    pose = np.eye(4)
-    pose[:3, :3] = rotations(along(span[None, None] / length)[0])[0]
-    pose[:3, 3] = (start + end) / 2
-    return capsule(radius, length).moved(pose)
+    turn = rotations(along(span[None, None] / length)[0])[0]
+    return capsule(radius, length).moved(pose_matrix(turn, (start + end) / 2))
 
 
 def _distinct(names: list[str]) -> list[str]:

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.geometry.poses import pose_matrix
 from multiarm.grasp.arguments import numbers_of
 
 if TYPE_CHECKING:
@@ -221,9 +222,7 @@ def frame_of(z: np.ndarray, along: np.ndarray, origin: np.ndarray) -> np.ndarray
     """Pose (4, 4) at a point with the z axis given, and x as nearly along a vector as can be."""
     x = along - (along @ z) * z
     x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = np.column_stack([x, np.cross(z, x), z]), origin
-    return pose + 0.0  # no -0
+    return pose_matrix(np.column_stack([x, np.cross(z, x), z]), origin) + 0.0  # no -0
 
 
 def across(z: np.ndarray) -> np.ndarray:

@@ -40,6 +40,7 @@ from multiarm.control.object_path import (
     reference_pose,
 )
 from multiarm.errors import GraspError
+from multiarm.geometry.poses import pose_matrix
 from multiarm.grasp.face_contacts import FaceContacts
 from multiarm.grasp.forces.force_distribution import distribute_forces
 from multiarm.grasp.pickup.lying_body import LyingBody, PivotEdge
@@ -114,9 +115,7 @@ class PickupCourse:
         lies = self.lies
         quaternion, twist, change = reference_motion(t, self._path)
         turn = quaternion_to_matrix(quaternion)
-        motion = np.eye(4)
-        motion[:3, :3] = turn
-        motion[:3, 3] = np.array(reference_pose(t, self._path)[0]) - turn @ self._pivot
+        motion = pose_matrix(turn, np.array(reference_pose(t, self._path)[0]) - turn @ self._pivot)
         r = turn @ (lies.at(lies.body.centre) - self._pivot)
         omega, alpha = twist[3:], change[3:]
         velocity = np.cross(omega, r)

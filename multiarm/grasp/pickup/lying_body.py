@@ -26,6 +26,7 @@ from numbers import Integral
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.geometry.poses import pose_matrix
 from multiarm.geometry.screws import skew
 from multiarm.grasp.body.face import clipped
 from multiarm.grasp.body.polyhedron import Polyhedron
@@ -68,10 +69,8 @@ class PivotEdge:
 
     def turned(self, angle: float) -> np.ndarray:
         """Motion (4, 4) in the world that tilts the body by an angle [rad]."""
-        motion = np.eye(4)
-        motion[:3, :3] = rotation_about(self.axis, angle)
-        motion[:3, 3] = self.point - motion[:3, :3] @ self.point
-        return motion
+        turn = rotation_about(self.axis, angle)
+        return pose_matrix(turn, self.point - turn @ self.point)
 
     def twist(self, pose: np.ndarray) -> np.ndarray:
         """The twist (6,) of tilting a body at a pose (4, 4), in its frame about its origin."""

@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from multiarm.errors import GraspError
+from multiarm.geometry.poses import pose_matrix
 from multiarm.geometry.screws import skew
 from multiarm.grasp.arguments import numbers_of, pose_of
 from multiarm.grasp.pose.rotations_from_planes import (
@@ -336,7 +337,7 @@ class ObjectFrame:
     @property
     def pose(self) -> np.ndarray:
         """Homogeneous matrix, object to world, shape (4, 4)."""
-        return _pose(self.rotation, self.position)
+        return pose_matrix(self.rotation, self.position)
 
 
 def solved(data: ContactData, previous: Any, tolerance: float | None) -> ObjectFrame:
@@ -465,9 +466,3 @@ def _previous_pose(previous: Any) -> np.ndarray | None:
         return None if previous is None else previous.pose
     needed = "previous is a pose (4, 4): a rotation and a position, no scale or mirror"
     return pose_of(previous, needed)
-
-
-def _pose(R: np.ndarray, x: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = R, x
-    return pose
