@@ -31,7 +31,7 @@ from multiarm.assembly.inverse_kinematics import (
     clearance,
     points_on_links,
 )
-from multiarm.assembly.postures import KEEPS_OFF, OVERLAP
+from multiarm.assembly.postures import KEEPS_OFF, OVERLAP, first_to_hold, robots_in_joints
 from multiarm.errors import SceneError
 from multiarm.robots.robot import Robot
 from multiarm.scene import BaseSpec, JointSpec, ObjectSpec, Scene
@@ -183,17 +183,23 @@ def find_bases(
     """
     bases = {n: spec.base.matrix()[:3, 3] for n, spec in scene.arms.items() if n not in arms}
     standing = dict(written)
-    placed: dict[str, BaseSpec] = {}
+    found: dict[str, BaseSpec] = {}
     faults = []
-    for number, joint in enumerate(scene.joints):
-        if joint.arm not in arms:
+    in_joints = [name for name in robots_in_joints(scene) if name in arms]
+    for name in dict.fromkeys([*in_joints, *arms]):
+        where, joints = ("arms", name, "base", "solve"), _joints_with_objects(scene, name)
+        if not joints:
+            problem = "needs a joint of the arm with an object, and its 'at'; or remove 'solve'"
+            faults.append(fault_at(where, problem))
             continue
-        where = ("arms", joint.arm, "base", "solve")
-        if joint.at is None:
+        placed = {number: joint for number, joint in joints.items() if joint.at is not None}
+        if not placed:
+            (number, *_) = joints
             problem = f"needs the joint's place on the object: give $.joints[{number}].at"
             faults.append(fault_at(where, problem))
             continue
-        search = _BaseSearch.of_joint(scene, joint, arms[joint.arm], list(bases.values()))
+        number, joint = next(iter(placed.items()))
+        search = _BaseSearch.of_joint(scene, joint, arms[name], list(bases.values()))
         base = search.best()
         if base is None:
             problem = (
@@ -206,11 +212,21 @@ def find_bases(
             )
             faults.append(fault_at(where, problem))
             continue
-        base, standing[joint.arm] = _out_of_the_way(scene, joint, search, base, standing)
-        placed[joint.arm], bases[joint.arm] = base, base.matrix()[:3, 3]
+        base, standing[name] = _out_of_the_way(scene, joint, search, base, standing)
+        found[name], bases[name] = base, base.matrix()[:3, 3]
     if faults:
         raise SceneError(faults)
-    return placed
+    return found
+
+
+def _joints_with_objects(scene: Scene, arm: str) -> dict[int, JointSpec]:
+    """The joints of an arm with objects that hold at the start, or else the first one to hold."""
+    joints = {
+        number: joint
+        for number, joint in enumerate(scene.joints)
+        if joint.first.robot == arm and joint.second.is_object
+    }
+    return first_to_hold(joints, arm)
 
 
 def _out_of_the_way(
@@ -226,14 +242,14 @@ def _out_of_the_way(
     posture = postures.best()
     assert posture is not None, "the arm reaches its place from the base that was found"
     neighbours = {name: stand.arm for name, stand in standing.items()}
-    surroundings = Surroundings(scene, {**neighbours, joint.arm: arm})
+    surroundings = Surroundings(scene, {**neighbours, arm.name: arm})
     obstacles = surroundings.obstacles(
-        joint.arm, {name: stand.posture for name, stand in standing.items()}
+        arm.name, {name: stand.posture for name, stand in standing.items()}
     )
 
     def distance(base: np.ndarray, posture: np.ndarray) -> float:
         moved = moved_base(arm, base)
-        links = surroundings.placed(joint.arm, posture, standing=True, shift=moved)
+        links = surroundings.placed(arm.name, posture, standing=True, shift=moved)
         return nearest(links, obstacles).distance
 
     def keeps_off(base: np.ndarray, posture: np.ndarray) -> bool:
@@ -284,7 +300,7 @@ class _BaseSearch:
         cls, scene: Scene, joint: JointSpec, arm: Robot, bases: list[np.ndarray]
     ) -> _BaseSearch:
         """The search that a joint of a scene asks for."""
-        written, places = scene.arms[joint.arm].base, joint_places(scene, joint)
+        written, places = scene.arms[arm.name].base, joint_places(scene, joint)
         assert isinstance(written, BaseSpec), "its base is to be found"
         reach = farthest(arm, np.random.default_rng(0))
         body = scene.all_objects[joint.second.tip]

@@ -155,14 +155,20 @@ def _joints_of(scene: Scene, name: str, known: Collection[str]) -> dict[int, Joi
         if name in (joint.first.robot, joint.second.robot)
         and all(body.robot in (name, *known) for body in _links_of_two(joint))
     }
-    chosen = {number: joint for number, joint in of_robot.items() if joint.holds_at(0.0)}
     if posture_of(scene, name)[1] == SOLVE:
-        linked = {link for joint in chosen.values() for link in _links_of(joint, name)}
-        later = {number: joint for number, joint in of_robot.items() if number not in chosen}
-        for number in sorted(later, key=lambda number: _beginning(later[number])):
-            if linked.isdisjoint(links := _links_of(later[number], name)):
-                linked |= links
-                chosen[number] = later[number]
+        return first_to_hold(of_robot, name)
+    return {number: joint for number, joint in of_robot.items() if joint.holds_at(0.0)}
+
+
+def first_to_hold(joints: Mapping[int, JointSpec], robot: str) -> dict[int, JointSpec]:
+    """Of joints of a robot those that hold at the start, and of links that none holds the next."""
+    chosen = {number: joint for number, joint in joints.items() if joint.holds_at(0.0)}
+    linked = {link for joint in chosen.values() for link in _links_of(joint, robot)}
+    later = {number: joint for number, joint in joints.items() if number not in chosen}
+    for number in sorted(later, key=lambda number: _beginning(later[number])):
+        if linked.isdisjoint(links := _links_of(later[number], robot)):
+            linked |= links
+            chosen[number] = later[number]
     return dict(sorted(chosen.items()))
 
 

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 
 import numpy as np
 
 from multiarm.assembly.linkage import scene_size
 from multiarm.assembly.postures import overlapping_links, posture_of
+from multiarm.assembly.start import TOUCHING
 from multiarm.control.gravity_compensation import (
     uncarried_bases,
     uncarried_joints,
     uncarried_weight,
 )
-from multiarm.dynamics.failures import joint_of
+from multiarm.dynamics.contact_geometry import place_state
+from multiarm.dynamics.data import Data
+from multiarm.dynamics.equations import update_kinematics
+from multiarm.dynamics.failures import joint_of, require_ok
+from multiarm.dynamics.state import State
 from multiarm.dynamics.system import System
 from multiarm.notation import number, numbers
 from multiarm.robots.robot import Robot
 from multiarm.scene import JointSpec
 from multiarm.scene.bodies import object_named
 from multiarm.scene.faults import place
+from multiarm.scene.values import floor_owner
 
 # A joint may be off the object's shape by a fingertip [m], beside the surface that it states.
 FINGERTIP = 0.02
@@ -68,8 +74,9 @@ def _weight_not_carried(system: System) -> list[str]:
         left = uncarried_weight(of_laws, start)
         hanging = uncarried_bases(of_laws, start)
         idle = uncarried_joints(of_laws, start)
+        lying = _lying_on_the_floor(data, start)
     return [
-        *_objects_not_carried(system, left, size),
+        *_objects_not_carried(system, left, size, lying),
         *(
             f"{place(('control',))}: no contact carries {numbers(wrench[:3], 'N')} and "
             f"{numbers(wrench[3:], 'N m')} of the weight of robot '{name}', about the origin of "
@@ -102,8 +109,28 @@ def _passive_joints_not_carried(
     return warnings
 
 
-def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[str]:
-    """Warnings of the objects of whose weight some is ``left``, wrenches (6 F,)."""
+def _lying_on_the_floor(data: Data, start: State) -> set[str]:
+    """The objects that touch the floor at a start."""
+    objects = data.model.layout.objects
+    owners = {floor_owner(name, objects): name for name in objects}
+    place_state(data, 0.0, start)
+    require_ok(data, update_kinematics(data.struct))
+    gaps, touching = data.contact_rows.gap, TOUCHING * scene_size(data)
+    constraints = () if data.model.unilateral is None else data.model.unilateral.constraints
+    return {
+        owners[constraint.owner]
+        for constraint in constraints
+        if constraint.owner in owners and gaps[constraint.row] <= touching
+    }
+
+
+def _objects_not_carried(
+    system: System, left: np.ndarray, size: float, lying: Set[str]
+) -> list[str]:
+    """Warnings of the objects of whose weight some is ``left``, wrenches (6 F,).
+
+    Those ``lying`` on the floor need no joint.
+    """
     warnings, objects, gravity = [], system.scene.all_objects, system.model.constants.gravity
     where = place(("control",))
     at_start = {joint.connection for joint in system.scene.joints if joint.holds_at(0.0)}
@@ -116,6 +143,8 @@ def _objects_not_carried(system: System, left: np.ndarray, size: float) -> list[
         bodies = object_named(name)
         holding = [repr(pair.name) for pair in connections if bodies in (pair.first, pair.second)]
         if not holding:
+            if name in lying:
+                continue
             when = "" if len(at_start) == len(system.scene.joints) else " at the start"
             warnings.append(f"{where}: no joint holds {of_object}{when}, and it falls")
             continue

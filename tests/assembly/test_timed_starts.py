@@ -89,6 +89,66 @@ def test_weight_is_carried_by_the_joints_that_hold_at_the_start():
     assert compiled(data).start_warnings == ()
 
 
+def test_an_object_that_lies_on_the_floor_needs_no_joint_at_the_start():
+    data = two_arms(**from_(1.0))
+    data["joints"][0]["from"] = 0.5
+    data["effects"]["floor"] = {}  # on which the box stands
+    assert compiled(data).start_warnings == ()
+    data["effects"]["floor"] = {"at": {"xyz": [0, 0, -0.01]}}
+    (warning,) = compiled(data).start_warnings
+    assert "at the start" in warning
+
+
+LEFT, RIGHT = ({"xyz": [x, 0, 0.05], "rpy": [np.pi, 0, 0]} for x in (-0.9, 0.9))
+
+
+def beside_a_beam(joints: list[dict]) -> dict:
+    """A UR5 whose base is to be found, and a beam that is longer than its reach."""
+    return {
+        "gravity": None,
+        "object": {"shape": {"box": [2.0, 0.4, 0.1]}, "mass": 3.0, "pose": {"xyz": [0, 0, 0.4]}},
+        "arms": {"a": {"robot": "ur5", "base": {"solve": ["x", "y"]}}},
+        "joints": joints,
+    }
+
+
+@pytest.mark.parametrize(
+    ("times", "later"),
+    [
+        ({"until": 1.0}, from_(2.0)),
+        (from_(1.0), from_(2.0)),
+        (from_(1.0), from_("never")),
+        ({}, from_({"when": lambda t, state: 1.0 - t})),
+    ],
+    ids=["holds at the start", "takes hold first", "by command", "when"],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_a_base_is_found_for_the_joint_that_holds_first(times, later, first):
+    """It is that of this joint alone, in whichever order both are written."""
+    pair = {"between": ["a", "object"], "name": "pair"}
+    begins = {"arm": "a", "kind": "weld", "at": LEFT, **times}
+    follows = {**pair, "kind": "weld", "at": RIGHT, **later}
+    alone = compiled(beside_a_beam([begins])).scene.arms["a"].base
+    both = [begins, follows] if first else [follows, begins]
+    system = compiled(beside_a_beam(both))
+    assert system.scene.arms["a"].base == alone
+    begins, follows = {**begins, **pair}, {**follows, "arm": "a"}
+    del begins["arm"], follows["between"], follows["name"]
+    system = compiled(beside_a_beam([begins, follows] if first else [follows, begins]))
+    assert system.scene.arms["a"].base == alone
+
+
+def test_a_base_is_not_found_without_the_place_of_the_joint_that_holds_first():
+    joints = [
+        {"arm": "a", "kind": "weld", "at": RIGHT, **from_(2.0)},
+        {"between": ["a", "object"], "kind": "weld", "until": 1.0},
+    ]
+    with refused(SceneError, "$.arms.a.base.solve", "$.joints[1].at"):
+        compiled(beside_a_beam(joints))
+    with refused(SceneError, "$.arms.a.base.solve", "with an object"):
+        compiled(beside_a_beam([{"between": ["a", "world"], "kind": "weld", "at": RIGHT}]))
+
+
 def test_constant_torques_hold_the_start_with_the_joints_that_hold_there():
     """The left arm carries all of the box, and the right one itself alone."""
     control = {"kind": "harmonic", "amplitude": {}, "frequency": 1.0}
