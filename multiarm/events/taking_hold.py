@@ -155,22 +155,15 @@ def require_reach(modes: Modes, timed: int) -> None:
         How far, or how fast, with remedies.
     """
     joint, full = modes.unilateral.timed[timed], modes.full
-    first, second = (frame_motion(full, joint.connection, second) for second in (False, True))
-    speed = math.dist(first.velocity, second.velocity)
+    speed = _relative_speed(modes, timed)
     if speed > joint.speed_limit:
-        who = joint_of(full.model, joint.connection)
         raise SolverError(
-            f"{who} would take hold of bodies that move at {speed:.3g} m/s against each other, "
-            f"more than its 'speed_limit' of {joint.speed_limit:g} m/s; bring them to rest before, "
-            "or raise it"
+            f"{_too_fast(modes, timed, speed)}; bring them to rest before, or raise it"
         )
     if joint.located:
         return
-    rows = [*joint.rows, *(modes.unilateral.constraints[u].row for u in joint.constraints)]
+    rows, closes = _contacts_of(modes, timed)
     gaps = full.contact_rows.gap[rows]
-    # what only pushes may be open
-    open_too = [modes.unilateral.constraints[u].bilateral for u in joint.constraints]
-    closes = np.array([True] * len(joint.rows) + open_too)
     gap = float(np.max(np.where(closes, np.abs(gaps), -gaps), initial=0.0))
     if gap > LARGEST_GAP:
         who = joint_of(full.model, joint.connection)
@@ -178,6 +171,58 @@ def require_reach(modes: Modes, timed: int) -> None:
             f"{who} would take hold across {gap:.3g} m, more than {LARGEST_GAP:g} m; bring its "
             "bodies together before, or leave 'at' out, so that it holds them where they are"
         )
+
+
+def require_slow_start(modes: Modes, t: float) -> None:
+    """Refuse a start within times of joints whose bodies move too fast for them to have taken hold.
+
+    At the kinematics of all rows.  It counts what a joint stops of their motion, and leaves out
+    joints that hold at 0 s, too, which the scene's start is assembled with.
+
+    Raises
+    ------
+    SolverError
+        How fast, with remedies.
+    """
+    rates = modes.full.contact_rows.gap_rate
+    for k in sorted(modes.holding):
+        joint = modes.unilateral.timed[k]
+        interval = joint.interval_at(t)
+        if interval is None or interval.has(0.0):
+            continue
+        rows, closes = _contacts_of(modes, k)
+        stopped = float(np.max(np.where(closes, np.abs(rates[rows]), -rates[rows]), initial=0.0))
+        speed = _relative_speed(modes, k)
+        if min(speed, stopped) > joint.speed_limit:
+            raise SolverError(
+                f"{_too_fast(modes, k, speed)}, at the start at {t:g} s; give a state in which "
+                "they move together, begin before it takes hold, or raise the limit"
+            )
+
+
+def _contacts_of(modes: Modes, timed: int) -> tuple[list[int], np.ndarray]:
+    """Rows of a joint's contacts, and which close both ways: what only pushes may be open."""
+    joint = modes.unilateral.timed[timed]
+    constraints = [modes.unilateral.constraints[u] for u in joint.constraints]
+    rows = [*joint.rows, *(constraint.row for constraint in constraints)]
+    both_ways = [True] * len(joint.rows) + [constraint.bilateral for constraint in constraints]
+    return rows, np.array(both_ways)
+
+
+def _relative_speed(modes: Modes, timed: int) -> float:
+    """How fast a joint's frames on its two bodies move against each other [m/s]."""
+    connection = modes.unilateral.timed[timed].connection
+    first, second = (frame_motion(modes.full, connection, second) for second in (False, True))
+    return math.dist(first.velocity, second.velocity)
+
+
+def _too_fast(modes: Modes, timed: int, speed: float) -> str:
+    joint = modes.unilateral.timed[timed]
+    return (
+        f"{joint_of(modes.full.model, joint.connection)} would take hold of bodies that move at "
+        f"{speed:.3g} m/s against each other, more than its 'speed_limit' of "
+        f"{joint.speed_limit:g} m/s"
+    )
 
 
 class HeldJoints(NamedTuple):

@@ -44,7 +44,13 @@ from multiarm.events.mode_guards import GAP_THRESHOLD
 from multiarm.events.modes import IMPACTS, Modes
 from multiarm.events.objects_at_rest import RestDetector
 from multiarm.events.row_dynamics import RowDynamics
-from multiarm.events.taking_hold import Switch, hold_at, require_reach, switch_joints
+from multiarm.events.taking_hold import (
+    Switch,
+    hold_at,
+    require_reach,
+    require_slow_start,
+    switch_joints,
+)
 from multiarm.events.transition import Decision, Participants, Transition
 from multiarm.integration.event_location import GuardValues, first_event
 from multiarm.integration.methods import make_stepping
@@ -167,6 +173,7 @@ class EventHandler:
             self.modes.prepare(holding)
         hold_at(self.modes, time, start, schedule.holding, schedule.awaited)
         touching, off_patch, self._size = touching_constraints(self.modes, time, start)
+        require_slow_start(self.modes, time)
         of_step = None if self._tolerance is None else self._tolerance.smallest
         # lower bounces are not followed: below the tolerance of a step, or too low for the guards
         height = 1e-9 * self._size if of_step is None else of_step

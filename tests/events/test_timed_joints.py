@@ -28,7 +28,7 @@ from timed_scenes import (
 )
 
 import multiarm as ma
-from multiarm.errors import ModelError
+from multiarm.errors import ModelError, SolverError
 from multiarm.scene import parse_scene
 
 SAME, MOMENTUM, GAP = 1e-10, 1e-12, 1e-12
@@ -87,6 +87,31 @@ def test_a_run_that_begins_while_a_joint_holds_begins_with_their_common_speed():
     system = ma.compile_system(parse_scene(carts(1.1, rails)))
     with refused(ModelError, "joint of arm 'two'", "t = 0"):
         ma.simulate(system, 0.2, start_time=0.3, **EXACT)
+
+
+def test_a_run_that_begins_while_a_joint_holds_keeps_its_speed_limit():
+    """It counts what the joint stops: neither slides that it leaves free nor common speeds."""
+
+    def begun(limit, state=None, **joint):
+        rails = {
+            "one": {"mass": 2.0, "velocity": 1.1, "x": 0.0},
+            "two": {"mass": 1.3, "velocity": -0.7, "x": 1.0},
+        }
+        rails["two"]["joint"] = {"from": 0.1, "speed_limit": limit, **joint}
+        system = ma.compile_system(parse_scene(carts(1.1, rails)))
+        if state is not None:
+            state = system.state(
+                object_twist=[state, *[0.0] * 5],
+                joint_velocities={"one": [state], "two": [state]},
+            )
+        return ma.simulate(system, 0.2, start_time=0.3, state=state, **EXACT)
+
+    with refused(SolverError, "joint of arm 'two'", "1.8 m/s", "0.3 s"):
+        begun(1.79)
+    assert begun(1.81).status == "completed"
+    assert begun(0.1, state=3.0).status == "completed"
+    sliding = begun(0.1, kind="prismatic", axis=[1, 0, 0])
+    np.testing.assert_allclose(sliding.joint_velocities["two"][-1], -0.7, rtol=SAME)
 
 
 @pytest.mark.parametrize("kind", ["weld", "ball"])
