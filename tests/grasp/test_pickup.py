@@ -18,8 +18,10 @@ from scipy.spatial.transform import Rotation
 import multiarm as ma
 from multiarm.errors import GraspError, SceneError
 from multiarm.grasp import Contacts, PickupError, Polyhedron, plan_pickup
+from multiarm.grasp.pickup import planning
 from multiarm.grasp.pickup.course import HELD
 from multiarm.grasp.pickup.lying_body import laid_on_face, reached_part
+from multiarm.grasp.pickup.planning import NEVER_CLOSED
 from multiarm.grasp.pickup.tilting import all_pushes, carried, floor_contacts, weakest_force
 
 SIZE = np.array([0.4, 0.3, 0.3])
@@ -266,16 +268,62 @@ def test_contacts_that_some_smaller_tilt_reaches_are_not_called_impossible():
     assert list(closed.values()) == [True, False, False]
 
 
-def test_contacts_that_only_a_larger_tilt_reaches_are_not_called_impossible():
+def test_a_body_is_tilted_less_where_larger_tilts_take_faces_away():
+    """Neither the usual tilt nor the largest closes this one; the plan is for one below both."""
     body = Polyhedron.hull(
-        [[-0.2, 0.0, 0.05], [0.15, 0.05, 0.15], [0.0, -0.15, 0.1], [0.05, 0, 0.05]]
+        [[0.15, -0.1, -0.05], [-0.05, -0.2, 0.15], [-0.05, 0.2, -0.1], [-0.15, 0.2, 0.1]]
+    )
+    plan = plan_pickup(body, finger=0.02, tip_radius=0.003, gripper_size=0.3)
+    for angle in np.radians([30.0, np.degrees(plan.edge.limit)]):
+        assert not closes(*pushes_at(plan, plan.lies, angle, 0.02)[:2])
+    contacts, at = plan.grasp.contacts, plan.lies.at
+    early = [j for j in range(7) if j not in plan.late]
+    heights = tilted(plan.edge, plan.angle, at(contacts.points))[:, 2]
+    assert heights.min() >= 0.02 - ROUNDING
+    assert at(contacts.points[early])[:, 2].min() >= 0.02 - ROUNDING
+    assert closes(contacts.points, contacts.normals)
+    for phase in plan.phases:
+        for angle, forces in zip(phase.angles, phase.forces, strict=True):
+            W, load = world_wrenches(plan, angle, phase.contacts, phase.floor)
+            np.testing.assert_allclose(W @ forces, load, atol=ROUNDING)
+            assert forces.min() >= plan.least - ROUNDING
+
+
+FEW_TILTS = Polyhedron.hull(
+    [[-0.2, 0.0, 0.05], [0.15, 0.05, 0.15], [0.0, -0.15, 0.1], [0.05, 0, 0.05]]
+)
+
+
+def test_no_tilt_closes_a_body_of_which_that_is_said():
+    with refused(PickupError) as error:
+        plan_pickup(FEW_TILTS, finger=0.06, gripper_size=2e-3, tip_radius=1e-4)
+    (refusal,) = [r for r in error.value.refusals if r.reason == NEVER_CLOSED]
+    for angle in np.linspace(0.0, refusal.edge.limit, 60)[1:]:
+        points, normals, early = pushes_at(refusal, laid_on_face(FEW_TILTS), angle, 0.06)
+        assert early == len(points) or not closes(points, normals)
+
+
+def test_what_few_tilts_do_not_close_is_not_called_impossible(monkeypatch):
+    """The ranges of tilts find one that closes the body where those that are tried do not."""
+    monkeypatch.setattr(planning, "SCANNED", 1)
+    body = Polyhedron.hull(
+        [[-0.15, 0.1, 0.0], [0.15, -0.15, 0.0], [-0.05, 0.0, 0.15], [-0.05, 0.1, -0.05]]
     )
     with refused(PickupError) as error:
-        plan_pickup(body, finger=0.06, gripper_size=2e-3, tip_radius=1e-4)
+        plan_pickup(body)
+    (refusal,) = [r for r in error.value.refusals if r.edge is not None and r.motion is None]
+    assert planning.NOT_CLOSED in refusal.reason
+    angle = np.radians(22.0)
+    assert closes(*pushes_at(refusal, laid_on_face(body), angle, 0.03)[:2])
+
+
+def test_contacts_that_only_a_larger_tilt_reaches_are_not_called_impossible():
+    with refused(PickupError) as error:
+        plan_pickup(FEW_TILTS, finger=0.06, gripper_size=2e-3, tip_radius=1e-4)
     unproven = [r for r in error.value.refusals if r.edge is not None and r.motion is None]
     closed = [
         [
-            closes(*pushes_at(refusal, laid_on_face(body), angle, 0.06)[:2])
+            closes(*pushes_at(refusal, laid_on_face(FEW_TILTS), angle, 0.06)[:2])
             for angle in np.radians([30.0, 40.0])
         ]
         for refusal in unproven
