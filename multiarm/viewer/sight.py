@@ -17,7 +17,7 @@ AZIMUTH, ELEVATION = np.deg2rad(-58.0), np.deg2rad(22.0)
 # Directions that are tried, from the usual one [rad], and the parts of what is seen best that will
 # do: from the usual one, and from others.
 TURNS = np.deg2rad([0, -30, 30, -60, 60, -90, 90, -120, 120, -150, 150, 180])
-ENOUGH = np.array([0.8] + 11 * [0.9])
+ENOUGH = np.array([0.8] + 11 * [0.97])
 # Frames that are looked at, parts of the scene's size that points and cells are apart, and points
 # on a body at most.
 FRAMES, SPACING, CELL, MOST_POINTS = 6, 1.0 / 60.0, 1.0 / 30.0, 2000
