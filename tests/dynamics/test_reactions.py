@@ -204,6 +204,25 @@ def test_velocities_of_the_worked_example_are_projected_in_the_inertia_metric():
     assert lost == pytest.approx(expected["kinetic_energy_loss"], abs=1e-9)
 
 
+def test_forces_of_coplanar_contacts_that_nearly_balance_keep_equations_and_constraints():
+    """Four corners of a box slide, each a little aside: the normal forces have one free number."""
+    corners = np.array([[x, y, -0.1] for x in (-0.3, 0.2) for y in (-0.1, 0.15)])
+    angles = 1e-4 * corners[:, 0] + 2e-6 * np.array([1.0, -1.0, -1.0, 1.0])
+    normals = np.tile([0.0, 0.0, 1.0], (4, 1))
+    sideways = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
+    wrenches = lambda forces: np.hstack([forces, np.cross(corners, forces)]).T  # noqa: E731
+    inertia = np.diag([2.0, 2.0, 2.0, 0.02, 0.05, 0.06])
+    system = SimpleNamespace(
+        M_o=inertia, f_o=np.array([0.3, 0.1, -19.6, 0.02, 0.1, 0.03]), M=[np.eye(1)],
+        f_j=[np.zeros(1)], W_o=[wrenches(normals)], W=[np.zeros((1, 4))], c=[np.zeros(4)],
+    )  # fmt: skip
+    reactions = {"reaction_o": [wrenches(normals - 0.4 * sideways)], "reaction": system.W}
+    found = flat(solve_with_reactions(**vars(system), **reactions))
+    assert found.rank == 3 and not any(found.unique) and np.all(found.force > 0.0)
+    assert_solves(found, system, reactions, 1e-14)
+    assert relative_residual(system, found) < 1e-13
+
+
 # --- against the dense system --------------------------------------------------------------------
 
 

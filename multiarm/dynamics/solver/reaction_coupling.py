@@ -160,9 +160,11 @@ def find_null_forces(work, W_o, Wr_o):
     status, vectors = work.status, work.null_force
     count, total = status.contacts, W_o.shape[0]
     for k in range(status.reaction_rank, count):
-        clear(vectors[status.null_forces])
+        vector = vectors[status.null_forces]
+        clear(vector)
         for a in range(count):
-            vectors[status.null_forces, work.place[a]] = work.scale_r[a] * work.Vr[k, a]
+            vector[work.place[a]] = work.scale_r[a] * work.Vr[k, a]
+        add_motion(work, W_o, Wr_o, vector, total)
         status.null_forces += 1
     for k in range(status.core_rank, status.reaction_rank):
         vector = vectors[status.null_forces]
@@ -171,11 +173,7 @@ def find_null_forces(work, W_o, Wr_o):
             part = work.core_V[k, j] / work.sigma_r[j]
             for a in range(count):
                 vector[work.place[a]] += part * work.scale_r[a] * work.Vr[j, a]
-        x = work.node_vector
-        object_wrench(work, Wr_o, vector, x)
-        solve_object(work, x)
-        set_vector(x, vector[total:])
-        extend_to_regular_blocks(work, W_o, x, vector, False)
+        add_motion(work, W_o, Wr_o, vector, total)
         normalize_forces(vector, total)
         for i in range(work.undetermined.size):
             for a in range(work.first_contact[i], work.first_contact[i + 1]):
@@ -184,6 +182,16 @@ def find_null_forces(work, W_o, Wr_o):
         status.null_forces += 1
         status.motions += 1
     orthonormalize(vectors, status.null_forces, total)
+
+
+@kernel
+def add_motion(work, W_o, Wr_o, vector, total):
+    """Add the object's motion, and the other blocks' forces, to a vector of ``null_force``."""
+    x = work.node_vector
+    object_wrench(work, Wr_o, vector, x)
+    solve_object(work, x)
+    set_vector(x, vector[total:])
+    extend_to_regular_blocks(work, W_o, x, vector, False)
 
 
 @inlined

@@ -67,7 +67,7 @@ from multiarm.dynamics.solver.reaction_coupling import (
     solve_object,
 )
 from multiarm.dynamics.status import BLOCK_NOT_FINITE, NOT_FINITE, OBJECT_INERTIA, OK
-from multiarm.jit.kernels import copy, inlined, kernel
+from multiarm.jit.kernels import clear, copy, inlined, kernel
 from multiarm.jit.structs import Float, Floats1, Floats2, Floats3, Int, Ints1, Ints2, Numbers
 
 
@@ -390,14 +390,9 @@ def solve_for_reactions(work, W_o, Wr_o, f_o, f_j, c, a_o, a_j, force):
             for a in range(end - first):
                 part[a] = less_product(work.z[first + a], W_o[first + a], a_o)
             solve_block(i, work, part, False)
-    total = force.size
-    for v in range(work.status.null_forces):  # projection: forces of least norm
-        vector, along = work.null_force[v], 0.0
-        for a in range(total):
-            along += vector[a] * force[a]
-        for a in range(total):
-            force[a] -= along * vector[a]
-        add_multiple(-along, vector[total:], a_o)
+    take_least_forces(work, a_o, force)
+    if work.status.null_forces > work.status.motions:
+        keep_constraints(work, W_o, Wr_o, a_o, force)
     for i in range(work.coupled.size):
         recover_joints(i, work, work.Yr[i], force, a_j)
 
@@ -442,23 +437,71 @@ def accelerate_object(work, W_o, Wr_o, f_o, a_o, force):
             for a in range(end - first):
                 add_multiple(part[a], Wr_o[first + a], a_o)
     if work.status.contacts > 0:
-        x = work.node_vector
+        x, missing, place = work.node_vector, work.left, work.place
         copy(a_o, x)
         solve_object(work, x)
-        solve_coupled_reactions(work, W_o, x, force)
-        for k in range(work.status.contacts):
-            row = work.place[k]
-            add_multiple(force[row], Wr_o[row], a_o)
+        for a in range(work.status.contacts):
+            missing[a] = less_product(work.z[place[a]], W_o[place[a]], x)
+            force[place[a]] = 0.0
+        add_coupled_forces(work, Wr_o, force, a_o)
     solve_object(work, a_o)
 
 
 @inlined
-def solve_coupled_reactions(work, W_o, x, force):
-    """``F lambda = d`` by the decompositions; ``x`` is the object's motion without these forces."""
+def take_least_forces(work, a_o, force):
+    """Take from the forces what has no effect on the constraints: they are of least norm."""
+    total = force.size
+    for v in range(work.status.null_forces):
+        vector, along = work.null_force[v], 0.0
+        for a in range(total):
+            along += vector[a] * force[a]
+        for a in range(total):
+            force[a] -= along * vector[a]
+        add_multiple(-along, vector[total:], a_o)
+
+
+@kernel
+def keep_constraints(work, W_o, Wr_o, a_o, force):
+    """Let the coupled blocks keep their constraints to the last digits.
+
+    Forces that nearly balance each other, and were taken as if they did, have moved the system.
+    """
+    missing, x, k = work.left, work.node_vector, 0
+    for i in range(work.coupled.size):
+        if work.coupled[i] == 0:
+            continue
+        first, m, Y, Yr = work.first_contact[i], contact_count(i, work), work.Y[i], work.Yr[i]
+        for a in range(m):
+            missing[k] = less_product(work.z[first + a], W_o[first + a], a_o)
+            for j in range(joint_count(i, work)):
+                for b in range(m):
+                    missing[k] -= Y[j, a] * Yr[j, b] * force[first + b]
+            k += 1
+    clear(x)
+    add_coupled_forces(work, Wr_o, force, x)
+    solve_object(work, x)
+    add_multiple(1.0, x, a_o)
+    for i in range(work.coupled.size):
+        if work.coupled[i] != 0:
+            continue
+        first, m, change = work.first_contact[i], contact_count(i, work), work.block_vector
+        for a in range(m):
+            change[a] = less_product(0.0, W_o[first + a], x)
+        solve_block(i, work, change, False)
+        for a in range(m):
+            force[first + a] += change[a]
+
+
+@kernel
+def add_coupled_forces(work, Wr_o, force, wrench):
+    """Add the solution of ``F lambda = d`` to the forces, and its wrench to the one on the object.
+
+    By the decompositions; ``d`` is in ``work.left``, which is overwritten.
+    """
     status, count, place = work.status, work.status.contacts, work.place
     left, right = work.left, work.right
-    for a in range(count):  # the right-hand side, scaled
-        left[a] = work.scale[a] * less_product(work.z[place[a]], W_o[place[a]], x)
+    for a in range(count):
+        left[a] *= work.scale[a]
     for i in range(status.rank):
         s = 0.0
         for a in range(count):
@@ -478,4 +521,6 @@ def solve_coupled_reactions(work, W_o, x, force):
         s = 0.0
         for j in range(status.reaction_rank):
             s += work.Vr[j, a] * right[j]
-        force[place[a]] = work.scale_r[a] * s
+        change = work.scale_r[a] * s
+        force[place[a]] += change
+        add_multiple(change, Wr_o[place[a]], wrench)
