@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from copy import copy
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 from weakref import WeakSet
 
 import numpy as np
@@ -204,7 +205,8 @@ class SharedData:
         return Coriolis(coriolis.calls, table, table_of_copies(copies)), call
 
 
-class RowData(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class RowData:
     """What belongs to the rows of a model: the model itself, variables, workspaces.
 
     Attributes
@@ -223,6 +225,11 @@ class RowData(NamedTuple):
     work: NodeWork
     coupled: CoupledWork
     cache: dict[object, Any]
+
+    @cached_property
+    def contact_rows(self) -> ContactRow:
+        """Views of the kinematics of all rows."""
+        return fields_of(ContactRow, self.arrays.rows.kinematics)
 
 
 class HasRowData(Protocol):
@@ -247,6 +254,10 @@ class HasRowData(Protocol):
     @property
     def cache(self) -> dict[object, Any]:
         """Objects of other packages."""
+
+    @property
+    def contact_rows(self) -> ContactRow:
+        """Views of the kinematics of all rows."""
 
 
 class Data:
@@ -329,7 +340,7 @@ class Data:
     @property
     def contact_rows(self) -> ContactRow:
         """Kinematics of all rows: views, an entry of each field for every row."""
-        return fields_of(ContactRow, self.arrays.rows.kinematics)
+        return self._rows.contact_rows
 
     # --- what is shared ---------------------------------------------------------------------------
 

@@ -9,14 +9,14 @@ selected while compiled code runs: it may have read the sizes.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import CONTACT_WIDTH
+from multiarm.contacts.kernel import CONTACT_WIDTH, ContactRow
 from multiarm.contacts.table import (
     Code,
     JointRows,
@@ -82,8 +82,10 @@ class RowSelection(Data):
         of_joints = is_of_joints(codes.kind)
         tables = partial(_tables, layout, of_joints, model.trees)
         self._tables = lru_cache(MOST_RECENT)(tables)
+        self._models = lru_cache(MOST_RECENT)(partial(_selected_model, model))
         # what is made for some rows stays right for them: their arrays are where they were
-        self._selections = lru_cache(MOST_RECENT)(partial(SelectedRows, model, self._room))
+        selected_rows = partial(SelectedRows, model, self._room, self._models)
+        self._selections = lru_cache(MOST_RECENT)(selected_rows)
         self.select(np.zeros(0, dtype=np.int64))
 
     def _make_room(self, variables: dict[str, Any]) -> Room:
@@ -105,8 +107,8 @@ class RowSelection(Data):
         return Room(constants, self.arrays, self.work, self.coupled)
 
     def forget(self) -> None:
-        """Make anew what was made for some rows: their geometry has changed."""
-        self._selections.cache_clear()
+        """Make the models of some rows anew: their geometry has changed."""
+        self._models.cache_clear()
 
     def select(self, rows: np.ndarray) -> None:
         """Select rows, given in increasing order."""
@@ -141,19 +143,22 @@ class SelectedRows:
         With all rows.
     room : Room
         The beginnings of these arrays are those of the selected rows.
+    models : callable
+        Models with selected rows, as long as their geometry stays.
     selected : bytes
         Of each row, whether it is ``SELECTED``, or ``TANGENT_SELECTED``.
     """
 
-    def __init__(self, full: Model, room: Room, selected: bytes) -> None:
-        self._full, self._room, self._selected = full, room, selected
+    def __init__(
+        self, full: Model, room: Room, models: Callable[[bytes], Model], selected: bytes
+    ) -> None:
+        self._full, self._room, self._models, self._selected = full, room, models, selected
         self.cache: dict[object, Any] = {}
 
-    @cached_property
+    @property
     def model(self) -> Model:
         """The model with the selected rows."""
-        rows = np.flatnonzero(np.frombuffer(self._selected, dtype=np.uint8) == SELECTED)
-        return replace(self._full.select(rows), unilateral=None)
+        return self._models(self._selected)
 
     @cached_property
     def arrays(self) -> Variables:
@@ -177,11 +182,21 @@ class SelectedRows:
         return beginnings(self._room.coupled, coupled_shapes(*self._sizes, self._full.layout.node))
 
     @cached_property
+    def contact_rows(self) -> ContactRow:
+        """Views of the kinematics of the selected rows."""
+        return fields_of(ContactRow, self.arrays.rows.kinematics)
+
+    @cached_property
     def _sizes(self) -> tuple[list[int], list[int]]:
         layout = self._full.layout
         blocks = range(layout.block_count)
         counts = [self._selected[layout.contacts_of_block(i)].count(SELECTED) for i in blocks]
         return layout.joint_counts, counts
+
+
+def _selected_model(full: Model, selected: bytes) -> Model:
+    rows = np.flatnonzero(np.frombuffer(selected, dtype=np.uint8) == SELECTED)
+    return replace(full.select(rows), unilateral=None)
 
 
 class _Tables(NamedTuple):

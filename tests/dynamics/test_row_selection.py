@@ -110,3 +110,18 @@ def test_a_selection_keeps_its_struct_and_the_addresses_in_it(full):
         selection.select(rows)
         assert selection.struct is struct
         np.testing.assert_array_equal(struct[::4], addresses)
+
+
+def test_a_selection_whose_geometry_has_moved_has_a_new_model_and_the_same_arrays(full):
+    selection, geometry = RowSelection(full), full.model.constants.contacts.geometry
+    rows, written = subsets(full, 1)[0], geometry.copy()
+    selection.select(rows)
+    arrays, before = selection.arrays, selection.model.constants.contacts.geometry.copy()
+    try:
+        geometry += 0.5
+        selection.forget()
+        selection.select(rows)
+        np.testing.assert_array_equal(selection.model.constants.contacts.geometry, before + 0.5)
+        assert selection.arrays is arrays
+    finally:
+        geometry[:] = written
