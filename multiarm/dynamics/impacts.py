@@ -4,7 +4,7 @@ Of all velocities with :math:`W^T v^+ = 0` those nearest to v in the metric of t
 
 .. math:: v^+ = v + M^{-1} W p, \qquad W^T v^+ = 0 .
 
-With :math:`M = L L^T`, :math:`A = W^T L^{-T} = U S V^T` and :math:`w = L^T v`, of rank r,
+With :math:`M = L L^T`, :math:`L^{-1} W = V S U^T` and :math:`w = L^T v`, of rank r,
 
 .. math:: w^+ = w - V_r V_r^T w, \qquad p = -U_r S_r^{-1} V_r^T w, \qquad
     \tfrac12 |w|^2 - \tfrac12 |w^+|^2 = \tfrac12 |V_r^T w|^2 .
@@ -42,9 +42,10 @@ def inelastic_impact(rows: np.ndarray, factor: np.ndarray, velocity: np.ndarray)
         Lower triangular ``L`` with ``L L^T`` the inertia.
     velocity : ndarray, shape (n,)
     """
-    A = np.linalg.solve(factor, rows.T).T
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    kept = s > RANK * s[0] if s.size else s > 0.0
-    taken = Vt[kept] @ (factor.T @ velocity)
-    change = -np.linalg.solve(factor.T, Vt[kept].T @ taken)
-    return Impact(change, -U[:, kept] @ (taken / s[kept]), 0.5 * float(taken @ taken))
+    inverse = np.linalg.inv(factor)
+    V, s, Ut = np.linalg.svd(inverse @ rows.T, full_matrices=False)
+    rank = np.count_nonzero(s > RANK * s[0]) if s.size else 0
+    V, s, Ut = V[:, :rank], s[:rank], Ut[:rank]
+    taken = V.T @ (factor.T @ velocity)
+    change = -(V @ taken) @ inverse
+    return Impact(change, -(taken / s) @ Ut, 0.5 * float(taken @ taken))
