@@ -56,6 +56,8 @@ class RestDetector:
     def supports(self) -> dict[str, tuple[str, ...]]:
         """What each object at rest lies on: other objects, ``floor``, or ``world``."""
         data = self._modes.data
+        if self._enforced.isdisjoint(self._modes.mode.rows):  # it lies on nothing that could open
+            return {}
         velocity = data.arrays.state.velocity
         speeds = np.abs(self._modes.full.model.layout.twists(velocity)).max(axis=1)  # [m/s, rad/s]
         slow = speeds <= self._slow
