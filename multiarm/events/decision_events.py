@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from multiarm.contacts.table import JointRow
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, LIMIT, Constraint
 from multiarm.dynamics.contact_geometry import points_and_normals
@@ -40,12 +38,26 @@ def switch_events(modes: Modes, t: float, switch: Switch, decision: Decision) ->
         impulses = switch.impact.impulses(decision.impulses)
         lost = switch.impact.energy_lost - decision.energy
     for k in sorted(switch.taking):
-        event = RunEvent(t, EventKind.ATTACHED, arm=names[k], energy_loss=lost)
-        impulse = tuple(impulses[names[k]].tolist())
-        events.append(replace(event, impulse=impulse, where=modes.where(k), at=modes.place_of(k)))
+        event = RunEvent(
+            t,
+            EventKind.ATTACHED,
+            arm=names[k],
+            where=modes.where(k),
+            impulse=tuple(impulses[names[k]].tolist()),
+            energy_loss=lost,
+            at=modes.place_of(k),
+        )
+        events.append(event)
     for k in sorted(switch.letting):
-        event = RunEvent(t, EventKind.DETACHED, arm=names[k], energy_loss=0.0)
-        events.append(replace(event, impulse=(0.0,) * 6, where=modes.where(k)))
+        event = RunEvent(
+            t,
+            EventKind.DETACHED,
+            arm=names[k],
+            where=modes.where(k),
+            impulse=(0.0,) * 6,
+            energy_loss=0.0,
+        )
+        events.append(event)
     return events
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from multiarm.contacts.motion import BodyMotion
@@ -12,16 +10,41 @@ from multiarm.contacts.unilateral import TimedJoint
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.model import Model
 from multiarm.geometry.poses import pose_matrix
-from multiarm.jit.rows import field_of
+from multiarm.jit.rows import fields_of
 from multiarm.jit.vectors import cross
 
 
-class FrameMotion(NamedTuple):
-    """A joint's frame on one of its bodies, in world axes."""
+class JointFrame:
+    """A joint's frame on its first or on its second body, world axes, at the kinematics in a Data.
 
-    rotation: np.ndarray  # (3, 3)
-    origin: np.ndarray  # (3,) [m]
-    velocity: np.ndarray  # (3,) of the origin [m/s]
+    Parameters
+    ----------
+    data : Data
+    connection : str
+    second : bool
+    """
+
+    def __init__(self, data: Data, connection: str, second: bool) -> None:
+        model = data.model
+        frames, body = model.frames_on_bodies(connection), model.bodies_of(connection)[second]
+        self._axes = frames.on_object if second else frames.on_link
+        self._place = frames.origin_on_object if second else frames.origin_on_link
+        self.body = fields_of(BodyMotion, data.arrays.bodies.motion[body])
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Its axes, (3, 3)."""
+        return self.body.rotation @ self._axes
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Its origin, (3,) [m]."""
+        return self.body.origin + self.body.rotation @ self._place
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """That of its origin, (3,) [m/s]."""
+        return self.body.velocity + cross(self.body.spin, self.body.rotation @ self._place)
 
 
 def with_own_places(full: Data) -> Data:
@@ -35,20 +58,6 @@ def with_own_places(full: Data) -> Data:
     )
     own.replace_arrays(sample=full.arrays.sample)
     return own
-
-
-def frame_motion(data: Data, connection: str, second: bool) -> FrameMotion:
-    """The frame of a joint on its first or on its second body, at the kinematics in the data."""
-    model = data.model
-    frames, body = model.frames_on_bodies(connection), model.bodies_of(connection)[second]
-    on_body = frames.on_object if second else frames.on_link
-    origin = frames.origin_on_object if second else frames.origin_on_link
-    rotation, place, velocity, spin = (
-        field_of(BodyMotion, name, data.arrays.bodies.motion[body])
-        for name in ("rotation", "origin", "velocity", "spin")
-    )
-    lever = rotation @ origin
-    return FrameMotion(rotation @ on_body, place + lever, velocity + cross(spin, lever))
 
 
 class JointPlace:
@@ -75,7 +84,8 @@ class JointPlace:
         layout, name = written.layout, joint.connection
         rows, first = layout.contacts_of(layout.owners.index(name)), written.frames[name]
         self._moved = on_object(written.constants.contacts, range(rows.start, rows.stop))
-        before = written.frames_on_bodies(name)
+        self._first, self._second = (JointFrame(data, name, second) for second in (False, True))
+        self._frames, before = data.model.frames_on_bodies(name), written.frames_on_bodies(name)
         self._turn, self._origin = before.on_object.copy(), before.origin_on_object.copy()
         self.assigned = None
         # from the joint's frame on its second body to that of ``at`` in a scene
@@ -83,14 +93,10 @@ class JointPlace:
 
     def take_hold(self) -> None:
         """Hold the bodies where they are, at the kinematics in the data."""
-        name, offset = self._joint.connection, self._joint.offset
-        first = frame_motion(self._data, name, second=False)
-        body = self._written.bodies_of(name)[1]
-        motion = self._data.arrays.bodies.motion[body]
-        to_body = field_of(BodyMotion, "rotation", motion).T
-        origin = first.origin + first.rotation @ offset[:3, 3]
-        origin -= field_of(BodyMotion, "origin", motion)
-        self._move(to_body @ first.rotation @ offset[:3, :3], to_body @ origin)
+        offset, body, rotation = self._joint.offset, self._second.body, self._first.rotation
+        origin = self._first.origin + rotation @ offset[:3, 3] - body.origin
+        to_body = body.rotation.T
+        self._move(to_body @ rotation @ offset[:3, :3], to_body @ origin)
         self.assigned = self._seen_by_scene()
 
     def return_to_scene(self) -> None:
@@ -110,20 +116,16 @@ class JointPlace:
         self.assigned = pose
 
     def _seen_by_scene(self) -> np.ndarray:
-        now = self._data.model.frames_on_bodies(self._joint.connection)
-        pose = self._of_scene @ pose_matrix(now.on_object, now.origin_on_object)
+        pose = self._of_scene @ pose_matrix(self._frames.on_object, self._frames.origin_on_object)
         pose[:3, :3] = pose[:3, :3] @ self._joint.axes.T
         return pose
 
     def _move(self, turn: np.ndarray, origin: np.ndarray) -> None:
-        model = self._data.model
-        now = model.frames_on_bodies(self._joint.connection)
-        now.on_object[:], now.origin_on_object[:] = turn, origin
+        self._frames.on_object[:], self._frames.origin_on_object[:] = turn, origin
         by = turn @ self._turn.T
         place = by, origin - by @ self._origin
-        move_on_object(
-            self._written.constants.contacts, self._moved, place, model.constants.contacts
-        )
+        table = self._data.model.constants.contacts
+        move_on_object(self._written.constants.contacts, self._moved, place, table)
 
 
 def _inverse(rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -119,8 +119,8 @@ class ModeGuards:
         """Write which rows are held and which constraints slide; returns the place of each row."""
         held, slides = self.table.held, self.table.slides
         held[:] = slides[:] = -1
-        held[rows] = range(rows.size)
-        slides[sliding] = range(len(sliding))
+        held[rows] = np.arange(rows.size)
+        slides[sliding] = np.arange(len(sliding))
         return held
 
     def first(self, count: int) -> Guards:

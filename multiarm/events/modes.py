@@ -18,12 +18,13 @@ from multiarm.contacts.table import records_of
 from multiarm.contacts.unilateral import CONTACT, DRY_JOINT, UnilateralConstraints
 from multiarm.dynamics.callbacks import DenseSolver
 from multiarm.dynamics.data import Data
+from multiarm.dynamics.guards import Guard, Guards
 from multiarm.dynamics.references import Reference
 from multiarm.dynamics.row_selection import MOST_RECENT, RowSelection, beginnings
 from multiarm.dynamics.sliding import FrictionNumbers, Slides
 from multiarm.dynamics.solver.reactions import ReactionWork, make_reaction_work, reaction_shapes
 from multiarm.dynamics.variables import ModeStructs
-from multiarm.events.joint_places import JointPlace, frame_motion, with_own_places
+from multiarm.events.joint_places import JointFrame, JointPlace, with_own_places
 from multiarm.events.kernels import (
     ModeArrays,
     ModeNumbers,
@@ -65,10 +66,14 @@ class Modes:
     bilateral : RowSelection
         With the rows that are held whatever contacts do: how the bodies respond to forces in the
         others.
+    bilateral_rows : tuple of int
+        These rows.
     holding : frozenset of int
         Timed joints that hold.
     idle : frozenset of int
         Constraints of those that do not.
+    frames : list of tuple
+        The frames of each timed joint on its first and on its second body.
     awaited : frozenset of (int, int)
         Moments of timed joints that are awaited and that functions tell: these have guards.
     data : RowSelection
@@ -92,17 +97,25 @@ class Modes:
         if located:
             full = with_own_places(full)
         self._places = {k: JointPlace(full, written, unilateral.timed[k]) for k in located}
+        self.frames = [
+            (JointFrame(full, joint.connection, False), JointFrame(full, joint.connection, True))
+            for joint in unilateral.timed
+        ]
         self.full, self.unilateral, self.slow = full, unilateral, slow
         self.closed = full.closed
+        # of each joint that is placed, the geometry that is also elsewhere
+        self._copies = {k: [self._copied(self.closed, unilateral.model, k)] for k in located}
         self.holding: frozenset[int] = frozenset()
         self.idle = unilateral.idle_without(self.holding)
         everything = frozenset(range(len(unilateral.timed)))
-        self._laws = {everything: full.of_laws}
+        self._laws: dict[frozenset[int], Data] = {}
+        self._remember(everything, full.of_laws)
         self.of_laws = self.prepare(self.holding)
         self._structs, self._without_contacts = ModeStructs(active=True), ModeStructs(active=True)
         self._structs.refer(of_laws=self.of_laws.reference, full=full.reference)
         self._without_contacts.refer(of_laws=self.of_laws.reference)
         self.bilateral = RowSelection(full, modes=self._without_contacts)
+        self.bilateral_rows = unilateral.bilateral_with(self.holding)
         self.bilateral.select(np.array(self.bilateral_rows, dtype=np.int64))
         self.bilateral.of_laws = self.of_laws
         self.data = RowSelection(full, modes=self._structs, sample=full.arrays.sample)
@@ -157,14 +170,9 @@ class Modes:
         data.of_laws = self.of_laws
         return data
 
-    @property
-    def bilateral_rows(self) -> tuple[int, ...]:
-        """The rows that are held whatever contacts do."""
-        return self.unilateral.bilateral_with(self.holding)
-
     def moments_of(self, guards: Iterable[int]) -> list[MomentNumber]:
         """The moments that some of the mode's guards watch."""
-        numbers = {self._watched[g] for g in guards}
+        numbers = {self._numbers_of_guards[g] for g in guards}
         return [moment for moment, g in self._guards.of_moments.items() if g in numbers]
 
     def hold(self, holding: frozenset[int], awaited: frozenset[MomentNumber] = frozenset()) -> None:
@@ -174,6 +182,7 @@ class Modes:
         if holding == self.holding:
             return
         self.holding, self.idle = holding, self.unilateral.idle_without(holding)
+        self.bilateral_rows = self.unilateral.bilateral_with(holding)
         self.bilateral.select(np.array(self.bilateral_rows, dtype=np.int64))
         self.of_laws = self.prepare(holding)
         for structs in (self._structs, self._without_contacts):
@@ -184,8 +193,22 @@ class Modes:
     def prepare(self, holding: frozenset[int]) -> Data:
         """What laws see while these timed joints hold, made where it is not known yet."""
         if holding not in self._laws:
-            self._laws[holding] = self.full.view(self.full.model.of_laws(holding))
+            self._remember(holding, self.full.view(self.full.model.of_laws(holding)))
         return self._laws[holding]
+
+    def _remember(self, holding: frozenset[int], of_laws: Data) -> None:
+        self._laws[holding] = of_laws
+        rows = self.unilateral.rows_held_by(holding, self.unilateral.of_laws)
+        for k in holding.intersection(self._places):
+            self._copies[k].append(self._copied(of_laws, rows, k))
+
+    def _copied(self, data: Data, rows: tuple[int, ...], timed: int) -> CopiedGeometry:
+        """That of a joint in a table of some rows, which has the shapes of the whole one."""
+        table, part = self.full.model.constants.contacts, data.model.constants.contacts
+        moved = self.unilateral.rows_of(timed)
+        at = [k for k, row in enumerate(rows) if row in moved]
+        of_all = [rows[k] for k in at]
+        return CopiedGeometry(part.geometry, records_of(part, at), records_of(table, of_all))
 
     def place(self, timed: int, as_written: bool = False, pose: np.ndarray | None = None) -> None:
         """Let a timed joint hold its bodies where they are now, or as the scene's start has them.
@@ -201,27 +224,17 @@ class Modes:
             place.return_to_scene()
         else:
             place.take_hold()
-        of_laws = [
-            (data, self.unilateral.rows_held_by(holding, self.unilateral.of_laws))
-            for holding, data in self._laws.items()
-            if timed in holding
-        ]
-        table, moved = self.full.model.constants.contacts, self.unilateral.rows_of(timed)
-        for data, rows in (*of_laws, (self.closed, self.unilateral.model)):
-            pairs = [(k, row) for k, row in enumerate(rows) if row in moved]
-            if pairs:
-                at, of_all = zip(*pairs, strict=True)
-                selected = data.model.constants.contacts  # with the shapes of the whole table
-                places = records_of(selected, at)
-                selected.geometry[places] = table.geometry[records_of(table, of_all)]
+        geometry = self.full.model.constants.contacts.geometry
+        for copied in self._copies[timed]:
+            copied.geometry[copied.records] = geometry[copied.of_all]
         for selection in (self.data, self.data.tangents, self.bilateral):
             if selection is not None:
                 selection.forget()
 
     def where(self, timed: int) -> tuple[float, ...]:
         """Where the frame of a timed joint is on its first body, world [m]."""
-        name = self.unilateral.timed[timed].connection
-        return tuple(frame_motion(self.full, name, second=False).origin.tolist())
+        first, _ = self.frames[timed]
+        return tuple(first.origin.tolist())
 
     def is_placed(self, timed: int, pose: np.ndarray | None) -> bool:
         """Whether a joint that is ``located`` has been placed at a pose, or None: is as written.
@@ -286,8 +299,9 @@ class Modes:
     def _select(self, mode: Mode) -> None:
         """Select the rows of a mode, and write its sliding contacts and guards."""
         struct = self._struct
-        rows, sliding, guards = self._tables(mode, self.awaited)
-        self._sliding_constraints = sliding
+        rows, sliding, numbers, self.watched, self.guards = self._tables(mode, self.awaited)
+        self._sliding_constraints, self._numbers_of_guards = sliding, numbers.tolist()
+        self._of_constraints = np.array([guard.constraint >= 0 for guard in self.watched], bool)
         if self.data.tangents is not None:
             first = self._of_slides.tangent_of_all[sliding]
             self.data.tangents.select(np.add.outer(first, (0, 1)).ravel())
@@ -296,14 +310,10 @@ class Modes:
         struct[self._sizes.rows], struct[self._sizes.slides] = rows.size, len(sliding)
         self._write_rows(mode, rows)
         self._write_slides(mode, self._guards.place(rows, sliding))
-        struct[self._sizes.guards] = guards.size
-        write_guards(struct, self._guards.struct, guards)
+        struct[self._sizes.guards] = numbers.size
+        write_guards(struct, self._guards.struct, numbers)
         numbers_of_all, *columns = self._slides
         self.slides = Slides(numbers_of_all, *(column[: len(sliding)] for column in columns))
-        self.guards = self._guards.first(guards.size)
-        self._watched = guards.tolist()
-        self.watched = [self._guards.all[k] for k in self._watched]
-        self._of_constraints = np.array([guard.constraint >= 0 for guard in self.watched], bool)
         self._choose_solver(sliding)
 
     def _write_rows(self, mode: Mode, rows: np.ndarray) -> None:
@@ -370,12 +380,22 @@ class Modes:
         return Slides(of_all.numbers, *(column.copy() for column in of_all[1:])), of_all
 
 
+class CopiedGeometry(NamedTuple):
+    """Geometry of some rows that a table has of the whole one."""
+
+    geometry: np.ndarray
+    records: np.ndarray
+    of_all: np.ndarray  # the same records among all
+
+
 class _Tables(NamedTuple):
-    """What a mode selects: its held rows, sliding constraints and guards, by their numbers."""
+    """What a mode selects: its held rows, sliding constraints and guards."""
 
     rows: np.ndarray
     sliding: list[int]
-    guards: np.ndarray
+    numbers: np.ndarray  # of its guards
+    watched: list[Guard]
+    guards: Guards
 
 
 def _tables(
@@ -386,7 +406,9 @@ def _tables(
 ) -> _Tables:
     rows = np.array(sorted([*unilateral.bilateral_with(mode.holding), *mode.rows]), dtype=np.int64)
     sliding = mode.sliding(unilateral.constraints)
-    return _Tables(rows, sliding, guards.numbers(mode, rows, sliding, awaited))
+    numbers = guards.numbers(mode, rows, sliding, awaited)
+    watched = [guards.all[k] for k in numbers.tolist()]
+    return _Tables(rows, sliding, numbers, watched, guards.first(numbers.size))
 
 
 def _reactions(full: Data, data: Data) -> ReactionWork:

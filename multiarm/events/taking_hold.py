@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from multiarm.dynamics.contact_forces import wrenches_of
-from multiarm.dynamics.contact_geometry import block_inertias, force_directions
-from multiarm.dynamics.equations import update_kinematics, update_rows
+from multiarm.dynamics.contact_geometry import force_directions
+from multiarm.dynamics.data import Data
+from multiarm.dynamics.equations import update_kinematics, update_rows, write_inertias
 from multiarm.dynamics.evaluation import place_start
 from multiarm.dynamics.failures import joint_of, require_ok
 from multiarm.dynamics.impacts import Impact, inelastic_impact
 from multiarm.dynamics.state import State
 from multiarm.errors import SolverError
-from multiarm.events.joint_places import frame_motion
 from multiarm.events.mode_guards import MomentNumber
 from multiarm.events.modes import Modes
 from multiarm.events.row_dynamics import RowDynamics
@@ -51,12 +51,7 @@ class TakingHold:
         self._modes, self._rows = modes, list(modes.bilateral_rows)
         self._directions = force_directions(full)
         self._velocity = full.arrays.state.velocity.copy()
-        inertias = [full.arrays.bodies.object_inertia, *block_inertias(full)]
-        self._factor, first = np.zeros((self._velocity.size,) * 2), 0
-        for inertia in inertias:
-            end = first + len(inertia)
-            self._factor[first:end, first:end] = np.linalg.cholesky(inertia)
-            first = end
+        self._factor = np.linalg.cholesky(_lower_inertia(full))
         self._alone = self._stopped(self._velocity)
         self.energy_lost = self._alone.energy_lost
         full.arrays.state.velocity[:] += self._alone.change
@@ -95,6 +90,19 @@ class TakingHold:
             impact.impulses + again.impulses,
             impact.energy_lost + again.energy_lost,
         )
+
+
+def _lower_inertia(data: Data) -> np.ndarray:
+    """The lower triangle of the inertia of objects and joints, (6 F + n, 6 F + n)."""
+    layout, M = data.model.layout, data.work.M
+    inertia = np.zeros((layout.nv, layout.nv))
+    inertia[layout.of_frames, layout.of_frames] = data.arrays.bodies.object_inertia
+    write_inertias(data.struct)
+    for i in layout.blocks_of_robots:
+        joints = layout.of_block(i)
+        count = joints.stop - joints.start
+        inertia[joints, joints] = M[i, :count, :count]
+    return inertia
 
 
 class Switch(NamedTuple):
@@ -211,8 +219,7 @@ def _contacts_of(modes: Modes, timed: int) -> tuple[list[int], np.ndarray]:
 
 def _relative_speed(modes: Modes, timed: int) -> float:
     """How fast a joint's frames on its two bodies move against each other [m/s]."""
-    connection = modes.unilateral.timed[timed].connection
-    first, second = (frame_motion(modes.full, connection, second) for second in (False, True))
+    first, second = modes.frames[timed]
     return math.dist(first.velocity, second.velocity)
 
 

@@ -190,7 +190,7 @@ class _Impact(NamedTuple):
 
 
 class Transition:
-    """The transition at the state in the data, whose velocities an impact changes.
+    """The transition at the kinematics of all rows in the data, whose velocities an impact changes.
 
     Parameters
     ----------
@@ -217,7 +217,6 @@ class Transition:
 
     def decide(self, with_impacts: bool = True) -> Decision:
         """Impacts, unless they are left out, then the contact modes."""
-        self._rows.update()
         impact = self._impact() if with_impacts else None
         if impact is not None:
             self._rows.update()

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from multiarm.dynamics.arrays import open_system
+from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state
 from multiarm.dynamics.guards import QUIET, Guards
@@ -19,7 +19,7 @@ from multiarm.dynamics.status import OK
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.step import open_step
 from multiarm.integration.step_control import CLOSE_IN_STEP
-from multiarm.jit.kernels import INTS, NUMBER, Kernel, kernel
+from multiarm.jit.kernels import INTS, NUMBER, NUMBERS, Kernel, kernel
 
 # Fractions of the step at which guards are evaluated before roots are refined.
 GRID = np.linspace(0.0, 1.0, 9)
@@ -39,6 +39,12 @@ def evaluate_in_step(struct: INTS, arrays: INTS, t: NUMBER, h: NUMBER, theta: NU
     load_chart(step.z_stage, step.base_old, data)
     data.time.now = min(t + theta * h, step.stage.latest)
     return evaluate_state(struct, step.stage.alpha, step.stage.beta)
+
+
+@kernel
+def load_step(struct: INTS, z: NUMBERS, base: NUMBERS):
+    """:func:`load_chart` into the system with this struct, for Python."""
+    load_chart(z, base, open_data(struct))
 
 
 class GuardValues:

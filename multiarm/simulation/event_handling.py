@@ -19,7 +19,7 @@ from multiarm.assembly.start import TOUCHING
 from multiarm.contacts.unilateral import DRY_JOINT
 from multiarm.dynamics.arrays import CARRYING
 from multiarm.dynamics.callbacks import ControlCallback
-from multiarm.dynamics.coordinates import chart_places, load_chart
+from multiarm.dynamics.coordinates import chart_places
 from multiarm.dynamics.data import Data
 from multiarm.dynamics.equations import update_kinematics, update_rows
 from multiarm.dynamics.failures import failure_text, require_ok
@@ -52,7 +52,7 @@ from multiarm.events.taking_hold import (
     switch_joints,
 )
 from multiarm.events.transition import Decision, Participants, Transition
-from multiarm.integration.event_location import GuardValues, first_event
+from multiarm.integration.event_location import GuardValues, first_event, load_step
 from multiarm.integration.methods import make_stepping
 from multiarm.integration.projection import project, project_positions
 from multiarm.integration.step import begin_chart, write_slope
@@ -224,7 +224,10 @@ class EventHandler:
                 return self._make_impulse_steps(run, self._phase)
             if not stopped:
                 return self.locate(run)
-            return self.cross(run) if self._pending else self._switch(run)
+            if self._pending:
+                return self.cross(run)
+            self._load(run)
+            return self._switch(run)
         except MultiarmError as error:
             return str(error)
 
@@ -260,9 +263,9 @@ class EventHandler:
         before = self.modes.mode
         come = [k for k, _ in self.modes.moments_of(pending.guards)]
         self._schedule.due.update(come)
+        self._load(run)
         if len(come) == len(pending.guards):
             return self._switch(run)
-        self._load(run)
         fired = [self.modes.watched[g] for g in pending.guards]
         participants = Participants(
             self._touching(fired),
@@ -314,8 +317,8 @@ class EventHandler:
         SolverError
             Where the joint cannot take hold here; the run is as it was.
         """
+        self._load(run)
         if joint not in self.modes.holding:
-            self._load(run)
             require_reach(self.modes, joint)
         self._schedule.due.add(joint)
         try:
@@ -336,14 +339,13 @@ class EventHandler:
         self.stop_at_switch(run)
 
     def _switch(self, run: Run) -> str:
-        """Let the joints whose moment has come take hold, or let go."""
+        """Let the joints whose moment has come take hold, or let go, at the state in the data."""
         modes, t, before = self.modes, run.clock.t, self.modes.mode
         due = self._schedule.joints_due(t)
         for k in due:
             self._schedule.pass_moment(k, t)
         self._last_length = run.clock.h
         self._usual_length = max(self._usual_length, run.clock.h)
-        self._load(run)
         switch = switch_joints(modes, self._schedule.holding, self._schedule.awaited)
         if switch.impact is not None:
             self._add_work(run, -switch.impact.energy_lost)
@@ -457,9 +459,8 @@ class EventHandler:
     def _load(self, run: Run) -> None:
         """Write the run's state into the modes' data, with the kinematics of all rows."""
         step, bilateral = run.stepping.step, self.modes.bilateral
-        b = bilateral.arrays
-        load_chart(step.z, step.base, b)
-        b.time.now = run.clock.t
+        load_step(bilateral.struct, step.z, step.base)
+        bilateral.arrays.time.now = run.clock.t
         require_ok(bilateral, update_kinematics(bilateral.struct))
         require_ok(self.modes.full, update_rows(self.modes.full.struct))
 
