@@ -90,6 +90,8 @@ def main(words: Sequence[str] | None = None) -> None:
     with output.Clock() as clock, tempfile.TemporaryDirectory() as folder:
         system = ma.compile_system(parse_scene(scene(Path(folder) / "references.csv")))
         rows = compare(system, STEPS, arguments.rounds)
+        costs = {name: f"{1e3 * cost:.2f} ms" for name, cost in switch_costs(system).items()}
+    print("a switch:", ", ".join(f"{name} {cost}" for name, cost in costs.items()))
     output.save(arguments, clock, "hand_over", pandas.DataFrame(rows), figure)
 
 
@@ -208,6 +210,20 @@ def ours(system: System, accuracy: float, rounds: int) -> tuple[Motion, str]:
     layout = system.model.layout
     states = [sample_state(layout, run, k) for k in samples_of(run.time)]
     return Motion(states, min(seconds)), run.certificate["text"]
+
+
+def switch_costs(system: System, count: int = 30) -> dict[str, float]:
+    """Processor's time in which the second arm takes hold, and lets go [s]: medians."""
+    stepper = ma.Stepper(system, accuracy=ACCURACY)
+    switches = {"take hold": stepper.attach, "let go": stepper.detach}
+    seconds: dict[str, list[float]] = {name: [] for name in switches}
+    for _ in range(count):
+        for name, switch in switches.items():
+            stepper.advance(INTERVAL)
+            begin = time.thread_time()
+            switch("right")
+            seconds[name].append(time.thread_time() - begin)
+    return {name: float(np.median(of_name)) for name, of_name in seconds.items()}
 
 
 def samples_of(times: np.ndarray) -> list[int]:

@@ -53,3 +53,8 @@ def test_mujoco_tends_to_our_motion(rows, program):
 def test_mujoco_as_shipped_gives_way(rows):
     shipped = [rows["MuJoCo as shipped", step] for step in STEPS]
     assert all(row["gap_m"] > 1e-3 for row in shipped)
+
+
+def test_a_switch_costs_about_a_millisecond(system):
+    costs = hand_over.switch_costs(system)
+    assert 0.0 < costs["let go"] < costs["take hold"] < 0.01
