@@ -28,7 +28,8 @@ def enter_consistent_mode(
     decision : Decision
     ended : Mode, optional
         The one that has just ended: without an impact it would come to the same event with the
-        same forces.
+        same forces.  Central ones are tried first then, and where others let contacts slide that
+        may stick.
 
     Returns
     -------
@@ -40,7 +41,8 @@ def enter_consistent_mode(
     if decision.undecided:
         return decision, False
     again = decision.mode == ended and not decision.hits
-    for with_central_forces in (again, not again):
+    central_first = again or decision.at_bound
+    for with_central_forces in (central_first, not central_first):
         choice = decision.with_central_forces() if with_central_forces else decision
         if choice is None:
             continue

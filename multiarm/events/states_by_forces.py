@@ -55,6 +55,8 @@ class StatesByForces:
         Unit vectors of the slip of those that slide or are at the bound of friction.
     held : list of int
         Rows of the problem that are held from now on.
+    begin_at_bound : bool
+        Whether some contacts slide from now on that the solution has at rest.
     """
 
     def __init__(
@@ -76,18 +78,21 @@ class StatesByForces:
             if state in (ContactState.SLIDING, ContactState.AT_BOUND):
                 self.directions.setdefault(u, solution.directions[k])
         self.held = list(solution.active_rows)
-        self._let_slip()
+        self.begin_at_bound = self._let_slip()
 
-    def _let_slip(self) -> None:
-        """Let contacts at the bound of friction slide where the closed rows allow it."""
+    def _let_slip(self) -> bool:
+        """Let contacts at the bound of friction slide where the closed rows allow it: are any?"""
         closed = {self._at[c.row] for c in self._constraints.values() if c.bilateral}
         closed |= set(self.held)
+        begin = False
         for u, state in self.states.items():
             if state == ContactState.AT_BOUND:
                 slip = np.zeros(len(self._response))
                 slip[self._tangents(u)] = self.directions[u]
                 if can_move(self._response, slip, sorted(closed)):
                     self.states[u] = ContactState.SLIDING
+                    begin = True
+        return begin
 
     def release(self, unloaded: Set[int]) -> None:
         """Release all constraints without force, if one of them has just become ``unloaded``.

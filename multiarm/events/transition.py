@@ -102,6 +102,9 @@ class Decision:
         Constraints whose bouncing was ended.
     impulses : dict
         Of all constraints at the impact, by row [N s, N m s].
+    at_bound : bool
+        Whether contacts slide from now on whose slip does not begin with these forces: with others
+        of the same motion they may stick.
     """
 
     mode: Mode
@@ -112,7 +115,8 @@ class Decision:
     energy: float = 0.0
     rested: tuple[int, ...] = ()
     impulses: dict[int, float] = field(default_factory=dict)
-    _central: Callable[[], tuple[Mode, dict[int, float]] | None] = lambda: None
+    at_bound: bool = False
+    _central: Callable[[], _ByForces | None] = lambda: None
 
     def with_central_forces(self) -> Decision | None:
         """The same motion with all rows in contact held, and forces away from all bounds.
@@ -120,7 +124,15 @@ class Decision:
         None where there are no such forces, see :mod:`multiarm.events.complementarity.central`.
         """
         central = self._central()
-        return None if central is None else replace(self, mode=central[0], forces=central[1])
+        return None if central is None else replace(self, **central._asdict())
+
+
+class _ByForces(NamedTuple):
+    """What forces decide, as in :class:`Decision`."""
+
+    mode: Mode
+    forces: dict[int, float]
+    at_bound: bool
 
 
 @dataclass(frozen=True)
@@ -336,14 +348,21 @@ class Transition:
         problem = _ModeProblem({u: constraints[u] for u in involved}, rows, states, slips, fixed)
         solution, response, pulling = self._solve(involved, problem.at, slips, fixed)
 
-        def central() -> tuple[Mode, dict[int, float]] | None:
+        def central() -> _ByForces | None:
             forces = solution.central()
             return None if forces is None else self._by_forces(problem, forces, response, pulling)
 
-        mode, forces = self._by_forces(problem, solution, response, pulling)
+        chosen = self._by_forces(problem, solution, response, pulling)
         normals = [problem.at[constraints[u].row] for u in involved]
         undecided = _undecided(solution, normals)
-        return Decision(mode, forces, solution.residual, undecided, _central=central)
+        return Decision(
+            chosen.mode,
+            chosen.forces,
+            solution.residual,
+            undecided,
+            at_bound=chosen.at_bound,
+            _central=central,
+        )
 
     def _by_forces(
         self,
@@ -351,8 +370,8 @@ class Transition:
         solution: ComplementaritySolution,
         response: np.ndarray,
         pulling: frozenset[int],
-    ) -> tuple[Mode, dict[int, float]]:
-        """The mode and the forces, by row, of a solution."""
+    ) -> _ByForces:
+        """The mode and the forces of a solution."""
         by_forces = StatesByForces(
             problem.constraints, problem.at, solution, response, problem.slips
         )
@@ -361,7 +380,8 @@ class Transition:
         states, held = by_forces.of_mode(problem.states)
         every = [*problem.rows, *self._modes.bilateral_rows]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
-        return self._mode(states, held, pulling, by_forces.directions), forces
+        mode = self._mode(states, held, pulling, by_forces.directions)
+        return _ByForces(mode, forces, by_forces.begin_at_bound)
 
     def _states_by_rates(self) -> tuple[list[ContactState], list[int], dict[int, np.ndarray]]:
         """What the rates decide: states, constraints that forces decide, and unit slips of these.

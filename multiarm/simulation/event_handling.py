@@ -74,7 +74,7 @@ from multiarm.simulation.setup import Run, Tolerance
 # Gaps of contacts that have just closed are as small as the step's errors, times this factor.
 HIT_SHARE = 4.0
 # Events accumulate where so many come within this part of the longest step before them.
-ACCUMULATED, ACCUMULATION = 20, 1e-3
+ACCUMULATED, ACCUMULATION = 20, 1e-2
 JAMS = "no accelerations obey the contact laws (Painleve): an impulse without a collision"
 # Impulse steps in a row, before progress is shown.
 IMPULSE_STEPS = 100
