@@ -22,6 +22,7 @@ from timing import Burst, fastest, measure
 
 from multiarm.contacts.kernel import (
     CONTACT_WIDTH,
+    ROW_LANES,
     ContactSearch,
     make_search,
     write_row,
@@ -121,7 +122,7 @@ def _burst(contacts: list[Contact]) -> Burst:
     """Write a table of ``ROWS`` rows of one kind, again and again."""
     table, surfaces = pack(contacts * (ROWS // len(contacts)))
     link, body = _moving(0.01), _moving(-0.02)
-    rows = np.zeros((ROWS, CONTACT_WIDTH))
+    packs, rows = np.zeros(ROW_LANES), np.zeros((ROWS, CONTACT_WIDTH))
     parts = np.zeros((len(table.codes) - ROWS, CONTACT_WIDTH))
     search = make_search(np.tile([0.47, 0.01, 0.01], (len(table.shapes), 1)))
     answer = user_surface_callback(surfaces, search.query)
@@ -130,7 +131,7 @@ def _burst(contacts: list[Contact]) -> Burst:
     system = Reference(struct_of(table, search), (table, search))
 
     def burst(repeats: int) -> None:
-        _write_often(repeats, system.struct, link, body, rows, parts)
+        _write_often(repeats, system.struct, link, body, packs, rows, parts)
         call.reraise()
         assert np.all(np.isfinite(rows)), "the rows that are timed exist"
 
@@ -148,11 +149,11 @@ _open_table, _open_search = view(ContactTable), view(ContactSearch, count_entrie
 
 
 @kernel
-def _write_often(repeats, struct, link, body, rows, parts):
+def _write_often(repeats, struct, link, body, packs, rows, parts):
     table, search = _open_table(struct), _open_search(struct)
     for _ in range(repeats):
         complete = write_rows_in_closed_form(
-            0, rows.shape[0], link, body, table, search.relative, rows
+            0, rows.shape[0], link, body, table, search.relative, packs, rows
         )
         for k in range(0 if complete else rows.shape[0]):
             if not is_in_closed_form(open_code(table.codes[k]).kind):

@@ -19,7 +19,7 @@ import numpy as np
 from multiarm.jit.kernels import inlined, kernel, plain
 from multiarm.jit.vectors import AXES, add_scaled, cross, put, scale, vec
 
-# Below this angle [rad] the closed form of a quaternion loses digits, and its series is used.
+# Below this angle [rad] the series of a quaternion is exact to rounding, and takes less time.
 _SERIES_ANGLE = 1e-2
 # Of :func:`_gamma` in powers of the squared angle: with Bernoulli's numbers, |B_2k| / (2 k)! from
 # k = 1 on.
@@ -93,13 +93,13 @@ def matrix_to_quaternion(rotation: np.ndarray) -> np.ndarray:
 @plain
 def retracted(base, theta):
     """Unit quaternion ``exp(theta) * base`` as a tuple ``xyzw``; ``theta`` (3,) [rad]."""
-    angle_squared = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
-    angle = math.sqrt(angle_squared)
-    if angle < _SERIES_ANGLE:
-        scale = 0.5 - angle_squared * (1.0 / 48.0 - angle_squared / 3840.0)
+    square = theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2
+    if square < _SERIES_ANGLE * _SERIES_ANGLE:
+        scale = 0.5 - square * (1.0 / 48.0 - square * (1.0 / 3840.0))
+        dw = 1.0 - square * (0.125 - square * (1.0 / 384.0 - square * (1.0 / 46080.0)))
     else:
-        scale = math.sin(0.5 * angle) / angle
-    dw = math.cos(0.5 * angle)
+        angle = math.sqrt(square)
+        scale, dw = math.sin(0.5 * angle) / angle, math.cos(0.5 * angle)
     dx, dy, dz = scale * theta[0], scale * theta[1], scale * theta[2]
     x, y, z, w = base[0], base[1], base[2], base[3]
     ox = dw * x + dx * w + dy * z - dz * y

@@ -70,11 +70,13 @@ from multiarm.contacts.motion import (
 from multiarm.contacts.surfaces import QUERY_WIDTH, open_query, world_distance
 from multiarm.contacts.table import (
     COMBINED,
+    GEOMETRY_WIDTH,
     ON_CYLINDER,
     ON_PLANE,
     ON_SURFACE,
     PAIR,
     TANGENT,
+    ContactGeometry,
     is_in_closed_form,
     is_of_joints,
     open_code,
@@ -83,7 +85,8 @@ from multiarm.contacts.table import (
 )
 from multiarm.geometry.records import SURFACE_ON_OBJECT
 from multiarm.jit.kernels import inlined, kernel, larger, plain
-from multiarm.jit.rows import Number, Rotation, Vector, row_of, width
+from multiarm.jit.rows import Number, Rotation, Vector, lanes_of, offset_of, row_of, width
+from multiarm.jit.simd import LANES, broadcast, gather_pack, transpose_four
 from multiarm.jit.structs import Floats1, Floats2, Int, Numbers
 from multiarm.jit.vectors import (
     ZERO,
@@ -93,6 +96,7 @@ from multiarm.jit.vectors import (
     add_outer,
     add_scaled,
     add_symmetric,
+    broadcast_vector,
     cross,
     dot,
     norm,
@@ -159,7 +163,14 @@ def make_search(guesses: np.ndarray) -> ContactSearch:
 
 
 CONTACT_WIDTH = width(ContactRow)
+ROW_LANES = LANES * CONTACT_WIDTH
 open_contact, open_patch = row_of(ContactRow), row_of(PatchRow)
+open_row_lanes = lanes_of(ContactRow)
+TIP, ORIGIN, AXIS, TIP_RADIUS = (
+    offset_of(ContactGeometry, name) for name in ("tip", "origin", "axis", "tip_radius")
+)
+FEWEST_IN_PACKS = 3
+"""Rows that are written in less time four at a time than one by one."""
 
 # Two surfaces touch along a line, and have no contact point, where the smallest relative curvature
 # across the contact is below this part of the largest.
@@ -219,12 +230,20 @@ def contact_kinematics(kind, into_object, geometry, a, b, relative, out):
 
 
 @inlined
-def write_rows_in_closed_form(first, end, link, body, table, relative, rows):
+def write_rows_in_closed_form(first, end, link, body, table, relative, packs, rows):
     """Write those rows of an arm, from ``first`` to ``end``, that are in closed form.
 
-    Nearly all rows are; they share the relative motion ``relative`` (15,), written.  For the other
-    arguments see :func:`write_row`, which writes the rest.  Returns whether there is none.
+    Nearly all rows are; they share the relative motion ``relative`` (15,), written.  Those of tips
+    on planes of one body are written four at a time, in ``packs`` (``ROW_LANES``,), written.  For
+    the other arguments see :func:`write_row`, which writes the rest.  Returns whether there is
+    none.
     """
+    if are_planes(first, end, table.codes):
+        if open_code(table.codes[first]).surface_body == SURFACE_ON_OBJECT:
+            write_planes(first, end, -1.0, link, body, table, relative, packs, rows)
+        else:
+            write_planes(first, end, 1.0, body, link, table, relative, packs, rows)
+        return True
     seen_from, complete = -1, True
     for k in range(first, end):
         code = open_code(table.codes[k])
@@ -242,6 +261,68 @@ def write_rows_in_closed_form(first, end, link, body, table, relative, rows):
                 seen_from = surface_body
             contact_kinematics(kind, 1.0, table.geometry[k], body, link, relative, rows[k])
     return complete
+
+
+@inlined
+def are_planes(first, end, codes):
+    """Whether all rows are of tips on planes of one body, and enough of them for packs."""
+    if end - first < FEWEST_IN_PACKS:
+        return False
+    body = open_code(codes[first]).surface_body
+    for k in range(first, end):
+        code = open_code(codes[k])
+        if code.kind != ON_PLANE or code.surface_body != body:
+            return False
+    return True
+
+
+@kernel
+def write_planes(first, end, into_object, a, b, table, relative, packs, rows):
+    """:func:`contact_kinematics` of tips on planes, four rows at a time; the last one may recur."""
+    write_relative_motion(a, b, relative)
+    body, seen, zero = open_body(a), open_relative(relative), broadcast(0.0)
+    (x, y, z), (u, v, w) = body.rotation, open_body(b).rotation
+    R_A = broadcast_vector(x), broadcast_vector(y), broadcast_vector(z)
+    R_B = broadcast_vector(u), broadcast_vector(v), broadcast_vector(w)
+    shift, spin = broadcast_vector(seen.shift), broadcast_vector(seen.spin)
+    velocity, acceleration = broadcast_vector(seen.velocity), broadcast_vector(seen.acceleration)
+    spin_rate, origin = broadcast_vector(seen.spin_rate), broadcast_vector(body.origin)
+    row, geometry = open_row_lanes(packs, 0), table.geometry
+    row.couple, row.normal_rate = (zero, zero, zero), (zero, zero, zero)
+    for k in range(first, end, LANES):
+        r1, r2, r3 = min(k + 1, end - 1), min(k + 2, end - 1), min(k + 3, end - 1)
+        g0, g1, g2, g3 = (
+            GEOMETRY_WIDTH * k, GEOMETRY_WIDTH * r1, GEOMETRY_WIDTH * r2, GEOMETRY_WIDTH * r3
+        )  # fmt: skip
+        d = rotate(R_A, gather_vector(geometry, TIP, g0, g1, g2, g3))
+        n = rotate(R_B, gather_vector(geometry, AXIS, g0, g1, g2, g3))
+        of_plane = rotate(R_B, gather_vector(geometry, ORIGIN, g0, g1, g2, g3))
+        radius = gather_pack(
+            geometry, g0 + TIP_RADIUS, g1 + TIP_RADIUS, g2 + TIP_RADIUS, g3 + TIP_RADIUS
+        )
+        turning = cross(spin, d)
+        V = add(velocity, turning)
+        A = add_cross(add_cross(acceleration, spin_rate, d), spin, turning)
+        row.point, row.point_rate = add(origin, d), V
+        row.normal = scale(broadcast(into_object), n)
+        row.gap, row.gap_rate = dot(n, sub(add(shift, d), of_plane)) - radius, dot(n, V)
+        row.gap_bias = dot(n, A)
+        for number in range(0, CONTACT_WIDTH, LANES):
+            at = min(number, CONTACT_WIDTH - LANES)  # the last four may overlap those before
+            transpose_four(
+                packs, LANES * at, rows, CONTACT_WIDTH * k + at, CONTACT_WIDTH * r1 + at,
+                CONTACT_WIDTH * r2 + at, CONTACT_WIDTH * r3 + at,
+            )  # fmt: skip
+
+
+@inlined
+def gather_vector(numbers, at, g0, g1, g2, g3):
+    """The vectors that begin at one place of four rows."""
+    return (
+        gather_pack(numbers, g0 + at, g1 + at, g2 + at, g3 + at),
+        gather_pack(numbers, g0 + at + 1, g1 + at + 1, g2 + at + 1, g3 + at + 1),
+        gather_pack(numbers, g0 + at + 2, g1 + at + 2, g2 + at + 2, g3 + at + 2),
+    )
 
 
 @kernel

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiarm.contacts.kernel import CONTACT_WIDTH, ContactSearch, make_search
+from multiarm.contacts.kernel import CONTACT_WIDTH, ROW_LANES, ContactSearch, make_search
 from multiarm.contacts.motion import BODY_WIDTH, RELATIVE_WIDTH, BodyMotion
 from multiarm.dynamics.coordinates import columns_of_forces, floating_bases
 from multiarm.dynamics.layout import Layout
 from multiarm.dynamics.references import References
 from multiarm.dynamics.solver.solution import UNSOLVED, Solution
 from multiarm.jit.rows import Pair, Quaternion, Vector, fields_of, row_of, width
+from multiarm.jit.simd import aligned_zeros
 from multiarm.jit.structs import Flag, Float, Floats1, Floats2, Int, Ints1, Ints2, Numbers
 
 
@@ -121,6 +122,7 @@ class Rows(NamedTuple):
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
     block_wrenches: Floats2  # (6, N) scratch: wrenches on one block about the world's origin
     about_joint: Floats1  # (6,) scratch: a row of W_o about the origin of a joint's frame
+    packs: Floats1  # (72,) scratch: four rows of the kinematics, or of W
 
 
 class StepSolution(Numbers):
@@ -476,7 +478,13 @@ def make_rows(layout: Layout, parts: int) -> Rows:
     }
     first = np.array(layout.first_contact, dtype=np.int64)
     parts_of_rows = np.zeros((parts, CONTACT_WIDTH))
-    return Rows(first=first, parts=parts_of_rows, about_joint=np.zeros(6), **arrays)
+    return Rows(
+        first=first,
+        parts=parts_of_rows,
+        about_joint=np.zeros(6),
+        packs=aligned_zeros(ROW_LANES),
+        **arrays,
+    )
 
 
 def row_shapes(rows: int, node: int) -> dict[str, tuple[int, ...]]:

@@ -11,6 +11,7 @@ Numba has no public name for this: the two classes below stand on its code libra
 
 from __future__ import annotations
 
+import functools
 import gc
 from typing import Any
 
@@ -64,10 +65,22 @@ class _Whole(JITCodeLibrary):
                 function.linkage = "internal"
         # Numba's own method runs all passes twice, at first to bring reference counts together:
         # there are few here.
+        _keep_loops_short()
         manager, builder = self._codegen._module_pass_manager()
         manager.run(module, builder)
         module.verify()
         self._finalize_final_module()
+
+
+@functools.cache
+def _keep_loops_short() -> None:
+    """Let LLVM leave loops alone whose number of turns is known only as they run.
+
+    For processors that hold many decoded instructions it unrolls them eightfold, and again what is
+    left over: an evaluation of a robot becomes twice as long as the processor's first cache.  Like
+    those that Numba sets, this option is the whole process's.
+    """
+    binding.set_option("", "-unroll-runtime=false")
 
 
 def _with_parts(libraries: Any) -> list[Any]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 
 from multiarm.jit.kernels import fused, inlined
+from multiarm.jit.simd import broadcast
 
 ZERO = (0.0, 0.0, 0.0)
 AXES = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -40,6 +41,12 @@ def rotation(array, at):
     """The rotation ``array[at : at + 9]``, row by row."""
     x, y, z = vec(array, at), vec(array, at + 3), vec(array, at + 6)
     return (x[0], y[0], z[0]), (x[1], y[1], z[1]), (x[2], y[2], z[2])
+
+
+@inlined
+def broadcast_vector(a):
+    """A vector of plain numbers in all lanes."""
+    return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])
 
 
 @inlined

@@ -72,7 +72,7 @@ def motion(rng):
 def contacts(request, surface_body, rng, motion):
     return [
         some_contact(rng, request.param, surface_body, tip_radius, *motion[:2])
-        for tip_radius in (0.0, 0.03, 0.2)
+        for tip_radius in (0.0, 0.03, 0.2, 0.1, 0.0)
     ]
 
 

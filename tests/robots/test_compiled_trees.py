@@ -285,6 +285,14 @@ def steps(key: str, count: int) -> int:
     return int(np.sum(Compiled([arm.structure() for arm in arms], links).tables.blocks.joints))
 
 
+def test_the_legs_of_a_humanoid_share_packs_with_its_arms(rng):
+    """Base, waist, then arms of seven joints with legs of six."""
+    arm = real_robot("g1_29dof_rev_1_0", **floating(rng))
+    links = [(0, joint) for joint in last_links(arm)]
+    blocks = Compiled([arm.structure()], links).tables.blocks
+    assert blocks.joints.tolist() == [1, 3, 7] and blocks.branches.tolist() == [1, 1, 4]
+
+
 @pytest.mark.parametrize(
     ("key", "alone", "four"),
     [("tiago_pro", 1 + 7, 1 + 7 + 7), ("allegro", 4, 4 * 4), ("panda", 7 + 1, 7 + 1 + 1)],

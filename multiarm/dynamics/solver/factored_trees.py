@@ -33,6 +33,8 @@ from multiarm.jit.simd import (
     sum_pack,
 )
 from multiarm.jit.structs import floats_at
+from multiarm.jit.vectors import vec
+from multiarm.robots.chain import add_scaled_pair, power
 from multiarm.robots.terms import FACTOR_WIDTH, VANISHING_INERTIA
 
 INVERSE, LARGEST_INVERSE = FACTOR_WIDTH - 1, 0.5 / VANISHING_INERTIA
@@ -41,14 +43,8 @@ INVERSE, LARGEST_INVERSE = FACTOR_WIDTH - 1, 0.5 / VANISHING_INERTIA
 @kernel
 def eliminate_by_factors(tree, n, m, work, f_j, node):
     """Eliminate all joints, run by run; returns the mobility, 0 where M is not positive."""
-    trees, levers, mobility = work.trees, work.levers[tree.block], 0.0
-    factors, d0 = floats_at(tree.factors, FACTOR_WIDTH * n), work.first_joint[tree.block]
-    packs = packs_of_row(m)
-    for j in range(n):
-        inverse = factors[FACTOR_WIDTH * j + INVERSE]
-        if not 0.0 < inverse < LARGEST_INVERSE:
-            return 0.0
-        mobility = max(mobility, levers[j] * levers[j] * inverse)
+    trees, mobility = work.trees, 0.0
+    factors, packs = floats_at(tree.factors, FACTOR_WIDTH * n), packs_of_row(m)
     for r in range(tree.runs, tree.end):
         trees.span[r, 0], trees.span[r, 1] = packs, 0
         for k in range(SCREW):
@@ -59,7 +55,10 @@ def eliminate_by_factors(tree, n, m, work, f_j, node):
         inner_first, inner_end = first, max(first, end)
         first, end = span_of_run(tree, j0, count, m, first, end, work)
         trees.span[r, 0], trees.span[r, 1] = first, end
-        carry_force(tree, r, j0, count, packs, d0, factors, f_j, trees)
+        largest = carry_force(tree, r, j0, count, packs, factors, f_j, work)
+        if not largest >= 0.0:
+            return 0.0
+        mobility = max(mobility, largest)
         clear_carried(r, first, inner_first, trees)
         clear_carried(r, inner_end, end, trees)
         if before >= 0:
@@ -132,41 +131,54 @@ def widen_span(r, first, end, trees):
 
 
 @fused
-def carry_force(tree, r, j0, count, packs, d0, factors, f_j, trees):
-    """The rows of a run for the right-hand side, and what it hands on to the run before it."""
+def carry_force(tree, r, j0, count, packs, factors, f_j, work):
+    """The rows of a run for the right-hand side, and what it hands on to the run before it.
+
+    Two joints at a time: their rows wait for the same wrench.  Returns the largest mobility of a
+    joint, -1 where an inertia is not positive.
+    """
+    trees, levers, d0 = work.trees, work.levers[tree.block], work.first_joint[tree.block]
     own, stride, before = trees.carried[r], LANES * (1 + packs), trees.runs[r, 2]
-    x, y, z = own[0], own[LANES], own[2 * LANES]
-    u, v, w = own[3 * LANES], own[4 * LANES], own[5 * LANES]
-    j = j0 + count - 1
-    at, out = FACTOR_WIDTH * j, LANES * tree.table + stride * j
-    for _ in range(count):
-        a = factors[at] * x + factors[at + 1] * y + factors[at + 2] * z
-        b = factors[at + 3] * u + factors[at + 4] * v + factors[at + 5] * w
-        force = f_j[d0 + j] - a - b
-        trees.table[out], trees.scaled[out] = force, factors[at + INVERSE] * force
-        x, y, z = (
-            x + factors[at + 6] * force, y + factors[at + 7] * force, z + factors[at + 8] * force
-        )  # fmt: skip
-        u, v, w = (
-            u + factors[at + 9] * force, v + factors[at + 10] * force, w + factors[at + 11] * force
-        )  # fmt: skip
-        j, at, out = j - 1, at - FACTOR_WIDTH, out - stride
+    G = (own[0], own[LANES], own[2 * LANES]), (own[3 * LANES], own[4 * LANES], own[5 * LANES])
+    j, mobility, regular = j0 + count - 1, 0.0, True
+    while j >= j0:
+        at, out = FACTOR_WIDTH * j, LANES * tree.table + stride * j
+        inverse, V = factors[at + INVERSE], twist_at(factors, at + SCREW)
+        force = f_j[d0 + j] - power(twist_at(factors, at), G)
+        trees.table[out], trees.scaled[out] = force, inverse * force
+        regular &= 0.0 < inverse < LARGEST_INVERSE
+        mobility = max(mobility, levers[j] * levers[j] * inverse)
+        if j > j0:
+            at, out, j = at - FACTOR_WIDTH, out - stride, j - 1
+            inverse, S = factors[at + INVERSE], twist_at(factors, at)
+            other = f_j[d0 + j] - power(S, G) - power(S, V) * force
+            trees.table[out], trees.scaled[out] = other, inverse * other
+            regular &= 0.0 < inverse < LARGEST_INVERSE
+            mobility = max(mobility, levers[j] * levers[j] * inverse)
+            G = add_scaled_pair(add_scaled_pair(G, force, V), other, twist_at(factors, at + SCREW))
+        else:
+            G = add_scaled_pair(G, force, V)
+        j -= 1
     if before >= 0:
         sums = trees.carried[before]
-        sums[0] += x
-        sums[LANES] += y
-        sums[2 * LANES] += z
-        sums[3 * LANES] += u
-        sums[4 * LANES] += v
-        sums[5 * LANES] += w
+        for k in range(3):
+            sums[LANES * k] += G[0][k]
+            sums[LANES * (3 + k)] += G[1][k]
+    return mobility if regular else -1.0
 
 
 @inlined
-def power_of(factors, at, x, y, z, u, v, w):
-    """Powers of four wrenches at the column of a joint."""
-    a = broadcast(factors[at]) * x + broadcast(factors[at + 1]) * y
-    b = broadcast(factors[at + 3]) * u + broadcast(factors[at + 4]) * v
-    return (a + broadcast(factors[at + 2]) * z) + (b + broadcast(factors[at + 5]) * w)
+def twist_at(factors, at):
+    """A twist or a wrench."""
+    return vec(factors, at), vec(factors, at + 3)
+
+
+@inlined
+def less_powers(s, factors, at, x, y, z, u, v, w):
+    """``s`` less the powers of four wrenches at the column of a joint."""
+    s = s - broadcast(factors[at]) * x - broadcast(factors[at + 1]) * y
+    t = broadcast(factors[at + 3]) * u + broadcast(factors[at + 4]) * v
+    return (s - broadcast(factors[at + 2]) * z) - (t + broadcast(factors[at + 5]) * w)
 
 
 @inlined
@@ -183,7 +195,7 @@ def carry_one(tree, r, j0, count, p, m, factors, work):
     whole = LANES * (p + 1) <= m
     for _ in range(count):
         s = load_pack(W, row) if whole else last_pack(W, row, m - LANES * p, trees.tail)
-        s = s - power_of(factors, at, x, y, z, u, v, w)
+        s = less_powers(s, factors, at, x, y, z, u, v, w)
         out[0], scaled[0] = s, broadcast(factors[at + INVERSE]) * s
         x = x + broadcast(factors[at + 6]) * s
         y = y + broadcast(factors[at + 7]) * s
@@ -219,13 +231,13 @@ def carry_two(tree, r, j0, count, p, m, factors, work):
     out, scaled = packs_of(trees.table, place), packs_of(trees.scaled, place)
     whole = LANES * (p + 2) <= m
     for _ in range(count):
-        s = load_pack(W, row) - power_of(factors, at, x, y, z, u, v, w)
+        s = less_powers(load_pack(W, row), factors, at, x, y, z, u, v, w)
         t = (
             load_pack(W, row + LANES)
             if whole
             else last_pack(W, row + LANES, m - LANES * (p + 1), trees.tail)
         )
-        t = t - power_of(factors, at, a, b, c, d, e, f)
+        t = less_powers(t, factors, at, a, b, c, d, e, f)
         inverse = broadcast(factors[at + INVERSE])
         out[0], out[1], scaled[0], scaled[1] = s, t, inverse * s, inverse * t
         V = broadcast(factors[at + 6])
@@ -271,29 +283,31 @@ def substitute_by_factors(tree, n, m, d0, trees, a_j):
 
 @fused
 def accelerate_run(tree, r, d0, factors, trees, a_j):
-    """Subtract what the acceleration of the link before each joint of a run does."""
-    before, own = trees.runs[r, 2], trees.carried[r]
-    x = y = z = u = v = w = 0.0
+    """Subtract what the acceleration of the link before each joint of a run does.
+
+    Two joints at a time, as in :func:`carry_force`.
+    """
+    before, own, zero = trees.runs[r, 2], trees.carried[r], (0.0, 0.0, 0.0)
+    A = zero, zero
     if before >= 0:
-        A = trees.carried[before]
-        x, y, z, u, v, w = (
-            A[0], A[LANES], A[2 * LANES], A[3 * LANES], A[4 * LANES], A[5 * LANES]
-        )  # fmt: skip
-    at = FACTOR_WIDTH * trees.runs[r, 0]
-    for j in range(d0 + trees.runs[r, 0], d0 + trees.runs[r, 0] + trees.runs[r, 1]):
-        a = factors[at + 6] * x + factors[at + 7] * y + factors[at + 8] * z
-        b = factors[at + 9] * u + factors[at + 10] * v + factors[at + 11] * w
-        rate = a_j[j] - a - b
-        a_j[j] = rate
-        x, y, z = (
-            x + factors[at] * rate, y + factors[at + 1] * rate, z + factors[at + 2] * rate
-        )  # fmt: skip
-        u, v, w = (
-            u + factors[at + 3] * rate, v + factors[at + 4] * rate, w + factors[at + 5] * rate
-        )  # fmt: skip
-        at += FACTOR_WIDTH
-    own[0], own[LANES], own[2 * LANES] = x, y, z
-    own[3 * LANES], own[4 * LANES], own[5 * LANES] = u, v, w
+        on = trees.carried[before]
+        A = (on[0], on[LANES], on[2 * LANES]), (on[3 * LANES], on[4 * LANES], on[5 * LANES])
+    j, end = trees.runs[r, 0], trees.runs[r, 0] + trees.runs[r, 1]
+    while j < end:
+        at = FACTOR_WIDTH * j
+        S, rate = twist_at(factors, at), a_j[d0 + j] - power(twist_at(factors, at + SCREW), A)
+        a_j[d0 + j] = rate
+        if j + 1 < end:
+            at, j = at + FACTOR_WIDTH, j + 1
+            V = twist_at(factors, at + SCREW)
+            other = a_j[d0 + j] - power(V, A) - power(V, S) * rate
+            a_j[d0 + j] = other
+            A = add_scaled_pair(add_scaled_pair(A, rate, S), other, twist_at(factors, at))
+        else:
+            A = add_scaled_pair(A, rate, S)
+        j += 1
+    for k in range(3):
+        own[LANES * k], own[LANES * (3 + k)] = A[0][k], A[1][k]
 
 
 # --- inertias -------------------------------------------------------------------------------------

@@ -64,6 +64,7 @@ class Trees(NamedTuple):
     solution: Floats1
     path: Floats1
     products: Floats1  # four rows of the node
+    side: Floats1  # 1, and the node's unknowns with the opposite sign
     tail: Floats1  # scratch: the last pack of a row of W
 
 
@@ -114,7 +115,7 @@ def tree_blocks(
             for first, count, before in of_block
         ]
         table += joints[block] * (left + packs)
-        of_contacts += contacts[block] * (packs + right)
+        of_contacts += LANES * packs * (packs + right)
         vector, most, longest = vector + packs, max(most, packs), max(longest, left)
     room = LANES * SCREW * (1 + most)
     return Trees(
@@ -136,6 +137,7 @@ def tree_blocks(
         solution=aligned_zeros(LANES * most),
         path=aligned_zeros(LANES * longest),
         products=aligned_zeros(LANES * LANES * right),
+        side=aligned_zeros(LANES * right),
         tail=aligned_zeros(LANES),
     )
 

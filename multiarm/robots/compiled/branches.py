@@ -2,7 +2,10 @@
 
 A *branch* is a run of joints along which a tree does not divide.  Branches that begin equally far
 from the base, counted in branches, are independent of each other; so four of them, of one robot or
-of several, are computed at once, one in each lane of a SIMD pack.  These four are a *block*.  A
+of several, are computed at once, one in each lane of a SIMD pack.  So are branches from which
+equally many follow one after the other: whichever makes shorter blocks decides for a robot.  The
+legs of a humanoid share a block with its arms then, and not with its waist.  Four branches are a
+*block*.  A
 *group* is what is swept outwards as a whole before it is swept inwards: the branches of up to four
 robots, or one block of *plain arms*: chains whose last link is the only one that takes part in
 connections.
@@ -103,13 +106,37 @@ def make_groups(
     )
     for floats in (False, True):
         for four in _fours([robot for robot in trees if structures[robot].base_floats == floats]):
-            together = [branch for robot in four for branch in branches[robot]]
-            together.sort(key=lambda branch: (branch.level, -len(branch.joints)))
-            levels = range(together[-1].level + 1)
-            by_level = [[branch for branch in together if branch.level == k] for k in levels]
-            blocks = [tuple(block) for level in by_level for block in _fours(level)]
-            groups.append(Group(tuple(blocks), plain=False, floats=floats))
+            together = [placed for robot in four for placed in _at_levels(branches[robot])]
+            groups.append(Group(_blocks(together), plain=False, floats=floats))
     return groups
+
+
+def _at_levels(branches: Sequence[Branch]) -> list[tuple[int, Branch]]:
+    """The branches of a robot, each with its level, at which it is computed.
+
+    It does not depend on other robots, so that sums over branches do not.
+    """
+    first = [(branch.level, branch) for branch in branches]
+    deepest, last = max(branch.level for branch in branches), []
+    for branch in branches:
+        after = [x.level for x in branches if branch.joints[-1] in x.ancestors]
+        beyond = max(after, default=branch.level) - branch.level
+        last.append((deepest - beyond if branch.level > 0 else 0, branch))
+    return min(first, last, key=lambda placed: _length(_blocks(placed)))
+
+
+def _blocks(placed: Sequence[tuple[int, Branch]]) -> tuple[tuple[Branch, ...], ...]:
+    """Blocks of the branches at each level, long ones first."""
+    blocks: list[tuple[Branch, ...]] = []
+    for level in range(max(level for level, _ in placed) + 1):
+        at_level = [branch for number, branch in placed if number == level]
+        blocks += _fours(sorted(at_level, key=lambda branch: -len(branch.joints)))
+    return tuple(map(tuple, blocks))
+
+
+def _length(blocks: Sequence[Sequence[Branch]]) -> int:
+    """Joints of all blocks, each as long as the longest of its branches."""
+    return sum(max(len(branch.joints) for branch in block) for block in blocks)
 
 
 def _fours(items: Sequence) -> list:

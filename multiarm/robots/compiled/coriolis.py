@@ -35,6 +35,7 @@ from multiarm.robots.chain import (
 from multiarm.robots.compiled.kernels import (
     add_to_parents,
     copy_lanes,
+    gather_columns,
     load_joints,
     move,
     outwards,
@@ -86,12 +87,13 @@ def rates_outwards(tables, work, b):
     """
     blocks, zero = tables.blocks, zero_vector()
     twist, row = (zero, zero), blocks.first_link[b] + blocks.ancestors[b]
+    gather_columns(tables, work, b)
     if blocks.ancestors[b] > 0:
         twist = open_frame(work.start, 0).twist
         for k in range(blocks.ancestors[b]):
             places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
             size = TURN_LANES // LANES
-            copy_lanes(work.link_turns, size, places, work.link_turns, TURN_LANES * at)
+            copy_lanes(work.link_turns, size, size, places, work.link_turns, TURN_LANES * at)
     for k in range(blocks.joints[b]):
         link, turn = (
             open_link(work.links, LINK_LANES * (row + k)),

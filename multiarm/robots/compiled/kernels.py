@@ -46,6 +46,7 @@ from multiarm.jit.vectors import (
     add_cross,
     add_scaled,
     add_symmetric,
+    broadcast_vector,
     compose,
     cross,
     dot,
@@ -208,12 +209,9 @@ def base_frame(gravity):
 
 @inlined
 def gather_start(tables, work, b):
-    """Copy the frames with which the lanes of a block begin, and the columns of its ancestors."""
-    blocks, size = tables.blocks, LINK_LANES // LANES
-    copy_lanes(work.frames, FRAME_LANES // LANES, blocks.parents[b], work.start, 0)
-    for k in range(blocks.ancestors[b]):
-        places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
-        copy_lanes(work.links, size, places, work.links, LINK_LANES * at)
+    """Copy the frames with which the lanes of a block begin."""
+    size = FRAME_LANES // LANES
+    copy_lanes(work.frames, size, size, tables.blocks.parents[b], work.start, 0)
 
 
 @kernel
@@ -244,13 +242,22 @@ def place_bases(tables, work, g):
 
 
 @inlined
-def copy_lanes(scratch, size, places, out, at):
-    """Copy a row of ``size`` packs, each of whose lanes is in another place of the scratch."""
+def gather_columns(tables, work, b):
+    """Copy the columns of the ancestors of a block, each lane's own."""
+    blocks, size = tables.blocks, LINK_LANES // LANES
+    for k in range(blocks.ancestors[b]):
+        places, at = blocks.lineage[blocks.first_ancestor[b] + k], blocks.first_link[b] + k
+        copy_lanes(work.links, size, LINK_SUMS, places, work.links, LINK_LANES * at)
+
+
+@inlined
+def copy_lanes(scratch, size, count, places, out, at):
+    """Copy the first packs of a row of ``size``, each of whose lanes is in another place."""
     at0, at1, at2, at3 = (
         place_in(size, places[0]), place_in(size, places[1]), place_in(size, places[2]),
         place_in(size, places[3]),
     )  # fmt: skip
-    for k in range(0, LANES * size, LANES):
+    for k in range(0, LANES * count, LANES):
         store_pack(out, at + k, gather_pack(scratch, at0 + k, at1 + k, at2 + k, at3 + k))
 
 
@@ -270,6 +277,8 @@ def inwards(tables, work, b):
     inertia, bias, gravity_torque = blocks.inertia[b], blocks.bias[b], blocks.gravity_torque[b]
     base = blocks.base_columns[b]
     whole = tables.wanted.inertias or blocks.factors[b] == 0  # those of plain arms have none
+    if whole:
+        gather_columns(tables, work, b)
     mass, moment, force = broadcast(0.0), zero, (zero, zero)
     second = zero + zero
     for j in range(n - 1, -1, -1):
@@ -380,6 +389,8 @@ def transpose_to_robots(leaves, at, count, out, first, width):
 def move_terms(tables, work, g):
     """Move the leaves of a group of trees to the robots' terms, and to the bodies."""
     move(work.leaves, tables.groups.terms, g, work.terms)
+    if tables.wanted.gravity_torque:
+        move(work.leaves, tables.groups.gravity_torques, g, work.terms)
     if tables.wanted.inertias:
         move(work.leaves, tables.groups.inertias, g, work.terms)
     if tables.wanted.factors:
@@ -494,9 +505,3 @@ def store_vector(array, at, a):
 def put_lane(array, at, a):
     """Write a vector of plain numbers into one lane of three."""
     array[at], array[at + LANES], array[at + 2 * LANES] = a
-
-
-@inlined
-def broadcast_vector(a):
-    """A vector of plain numbers in all lanes."""
-    return broadcast(a[0]), broadcast(a[1]), broadcast(a[2])

@@ -5,7 +5,7 @@ What the tables are is said in :mod:`multiarm.robots.compiled.tables`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from itertools import accumulate, pairwise
 from typing import NamedTuple
 
@@ -281,7 +281,7 @@ def _block_table(
             lanes = []
             for x in block.filled():
                 way = [places[x.robot, joint] for joint in x.ancestors]
-                lanes.append(way[:1] * (block.ancestors - len(way)) + way)
+                lanes.append((way[:1] or [0]) * (block.ancestors - len(way)) + way)
             lineage += np.transpose(lanes).astype(int).tolist()
             parents.append([places.get((x.robot, x.parent), 0) for x in block.filled()])
     joints = [block.joints for block in blocks]
@@ -335,6 +335,7 @@ def _group_table(
         term_count=np.where(plain, [block.motions for block in first], 0),
         bodies=_integers(bodies),
         terms=_moves([group.terms for group in runs], spare),
+        gravity_torques=_moves([group.gravity_torques for group in runs], spare),
         inertias=_moves([group.inertias for group in runs], spare),
         factors=_moves([group.factors for group in runs], spare),
         poses=_moves([group.poses for group in runs], spare),
@@ -360,6 +361,7 @@ class GroupRuns(NamedTuple):
     """Where the leaves of a group go."""
 
     terms: list[Run]
+    gravity_torques: list[Run]
     inertias: list[Run]
     factors: list[Run]
     poses: list[Run]
@@ -369,7 +371,7 @@ class GroupRuns(NamedTuple):
 def _runs(
     group: PlacedGroup, robots: Sequence[TermOffsets], structures: Sequence[TreeStructure]
 ) -> GroupRuns:
-    runs, roots = GroupRuns([], [], [], [], []), [0] * len(robots)
+    runs, roots = GroupRuns([], [], [], [], [], []), [0] * len(robots)
     if group.plain:
         return runs
     for block in group.blocks:
@@ -383,17 +385,15 @@ def _runs(
             for first, joint, count in _in_order(branch.joints):
                 k, number = block.padding(branch) + first, structure.number_of(joint)
                 numbers = BASE_DOF if at_base else count
-                for name, size in (
-                    ("jacobian", JACOBIAN_WIDTH),
-                    ("bias", 1),
-                    ("gravity_torque", 1),
+                for name, size, into in (
+                    ("jacobian", JACOBIAN_WIDTH, runs.terms),
+                    ("bias", 1, runs.terms),
+                    ("gravity_torque", 1, runs.gravity_torques),
+                    ("factors", FACTOR_WIDTH, runs.factors),
                 ):
                     leaf, place = getattr(leaves, name), getattr(terms, name)
                     run = Run(leaf + size * k, lane, place + size * number, size * numbers)
-                    runs.terms.append(run)
-                leaf, place = leaves.factors + FACTOR_WIDTH * k, FACTOR_WIDTH * number
-                run = Run(leaf, lane, terms.factors + place, FACTOR_WIDTH * numbers)
-                runs.factors.append(run)
+                    into.append(run)
                 leaf, place = leaves.poses + POSE_WIDTH * k, terms.poses + POSE_WIDTH * joint
                 runs.poses.append(Run(leaf, lane, place, POSE_WIDTH * count))
             if at_base:
@@ -434,9 +434,9 @@ def _matrix_runs(
         for _, before, count in _in_order(branch.joints):
             source, target = leaf + columns[before], first + number_of(before)
             coriolis.append(Run(source + block.columns * row, lane, target, count))
-            if before <= joint:
-                lower = min(count, joint + 1 - before)
-                inertia.append(Run(source + block.columns * k, lane, target, lower))
+            if before <= joint:  # the numbers above the diagonal mean nothing
+                size = min(count, _rounded_up(joint + 1 - before))
+                inertia.append(Run(source + block.columns * k, lane, target, size))
     return inertia, coriolis
 
 
@@ -456,27 +456,40 @@ def _moves(groups: Sequence[Sequence[Run]], spare: int) -> Moves:
     for runs in groups:
         by_four: dict[int, list[int]] = {}
         count = len(singles)
-        for run in runs:
+        for run in sorted(runs, key=lambda run: -run.size):
             if run.size < LANES:
                 singles += [
                     (LANES * (run.leaf + k) + run.lane, run.target + k) for k in range(run.size)
                 ]
                 continue
-            # the last four may repeat numbers of those before
-            for k in (*range(0, run.size - LANES, LANES), run.size - LANES):
-                places = by_four.setdefault(LANES * (run.leaf + k), [spare] * LANES)
+            for leaf in _quads_of(run, by_four):
+                places = by_four.setdefault(leaf, [spare] * LANES)
                 assert places[run.lane] == spare, "a number has one place"
-                places[run.lane] = run.target + k
+                places[run.lane] = run.target + leaf - run.leaf
         quads += sorted(by_four.items())
         sizes.append((len(by_four), len(singles) - count))
     return Moves(
-        quads=_integers([leaf for leaf, _ in quads]),
+        quads=_integers([LANES * leaf for leaf, _ in quads]),
         places=_integers([places for _, places in quads]).reshape(-1, LANES),
         sources=_integers([source for source, _ in singles]),
         targets=_integers([target for _, target in singles]),
         first_quad=_integers(_starts([quad for quad, _ in sizes])),
         first_single=_integers(_starts([single for _, single in sizes])),
     )
+
+
+def _quads_of(run: Run, shared: Container[int]) -> list[int]:
+    """The leaves at which four numbers of a run begin, which may overlap.
+
+    They are those of runs in other lanes, ``shared``, where these serve.
+    """
+    leaves, end = [], run.leaf + run.size
+    at = run.leaf
+    while at < end:
+        before = range(min(at, end - LANES), max(run.leaf, at - LANES + 1) - 1, -1)
+        leaves.append(next((leaf for leaf in before if leaf in shared), before[0]))
+        at = leaves[-1] + LANES
+    return leaves
 
 
 def _motions(group: PlacedGroup, links: Sequence[BodyLink]) -> list[tuple[int, int]]:

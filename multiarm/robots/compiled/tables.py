@@ -230,7 +230,7 @@ class Groups(NamedTuple):
         Of plain arms: offset of the terms of the first one; their number, the same for each.
     bodies : int64 (g, 4)
         Of plain arms: rows of the bodies.
-    terms, inertias, factors, poses, coriolis : Moves
+    terms, gravity_torques, inertias, factors, poses, coriolis : Moves
         To the terms: those of all evaluations, and those that are not always wanted; to the
         matrices of Coriolis forces.
     motions : Motions
@@ -244,6 +244,7 @@ class Groups(NamedTuple):
     term_count: Ints1
     bodies: Ints2
     terms: Moves
+    gravity_torques: Moves
     inertias: Moves
     factors: Moves
     poses: Moves
