@@ -12,11 +12,7 @@ import math
 import numpy as np
 
 from multiarm.contacts.joint import write_relative
-from multiarm.contacts.kernel import (
-    FEWEST_IN_PACKS,
-    open_contact,
-    write_rows_in_closed_form,
-)
+from multiarm.contacts.kernel import open_contact, write_rows_in_closed_form
 from multiarm.contacts.motion import open_body
 from multiarm.contacts.table import WHEELS, open_joint
 from multiarm.dynamics.solver.factored_trees import complete_inertias
@@ -211,7 +207,6 @@ def rows_of_serial_block(c, model, data, work):
     o = object_of(second, data)
     J = floats_at(open_addresses(bodies.pointers[i]).jacobian, 6 * d)  # column by column
     x_o, W, wrench = open_body(bodies.motion[second]).origin, work.W[i], data.rows.block_wrenches
-    in_packs = m >= FEWEST_IN_PACKS and wrench.shape[1] >= LANES
     for k in range(m):
         row = open_contact(data.rows.kinematics[first + k])
         e, p, couple = row.normal, row.point, row.couple
@@ -219,15 +214,15 @@ def rows_of_serial_block(c, model, data, work):
             write_object_row(row, x_o, data.rows.W_o[first + k], 6 * o)
         # the robot takes the opposite wrench; its Jacobian is about the world's origin
         force, moment = scale(-1.0, e), sub(cross(e, p), couple)
-        if not in_packs:
+        if m < LANES:
             for j in range(d):
                 W[j, before + k] = dot(vec(J, 6 * j), force) + dot(vec(J, 6 * j + 3), moment)
         else:
             wrench[0, k], wrench[1, k], wrench[2, k] = force
             wrench[3, k], wrench[4, k], wrench[5, k] = moment
-    if in_packs and m < LANES:
-        write_three_columns(before, d, J, wrench, W, data.rows.packs)
-    k = 0 if m >= LANES else m
+    if m < LANES:
+        return
+    k = 0
     while k < m:
         k = min(k, m - LANES)  # the last four may overlap those before
         write_four_columns(i, before, k, d, J, wrench, work)
@@ -360,17 +355,6 @@ def write_four_columns(i, before, k, d, J, wrench, work):
     for j in range(d):
         store_pack(W, at, four_entries(J, 6 * j, forces, moments))
         at += W.shape[2]
-
-
-@inlined
-def write_three_columns(before, d, J, wrench, W, pack):
-    """The three columns of ``W`` of a connection, as :func:`write_four_columns` would four."""
-    N = wrench.shape[1]
-    forces = load_pack(wrench, 0), load_pack(wrench, N), load_pack(wrench, 2 * N)
-    moments = load_pack(wrench, 3 * N), load_pack(wrench, 4 * N), load_pack(wrench, 5 * N)
-    for j in range(d):
-        store_pack(pack, 0, four_entries(J, 6 * j, forces, moments))
-        W[j, before], W[j, before + 1], W[j, before + 2] = pack[0], pack[1], pack[2]
 
 
 @inlined

@@ -122,7 +122,7 @@ class Rows(NamedTuple):
     static_force: Floats1  # (N,) contact forces for the wrench that the control commands
     block_wrenches: Floats2  # (6, N) scratch: wrenches on one block about the world's origin
     about_joint: Floats1  # (6,) scratch: a row of W_o about the origin of a joint's frame
-    packs: Floats1  # (72,) scratch: four rows of the kinematics, or of W
+    packs: Floats1  # (72,) scratch: four rows of the kinematics
 
 
 class StepSolution(Numbers):

@@ -514,6 +514,24 @@ def test_what_a_kernel_calls_does_not_inherit_its_options(option):
     assert option not in called_code
 
 
+def test_loops_whose_turns_are_unknown_are_not_unrolled():
+    """So that the code of an evaluation finds place in the processor's first cache."""
+    text = """
+@kernel
+def total(numbers):
+    result = 0.0
+    for k in range(numbers.size):
+        result += numbers[k]
+    return result
+"""
+    scope = {"kernel": kernel}
+    exec(compile(text, "<a cell>", "exec"), scope)  # without a file, it is in no cache
+    total = scope["total"]
+    assert total(np.ones(11)) == 11.0
+    (code,) = total.whole.inspect_llvm().values()
+    assert code.count("fadd double") == 1
+
+
 def test_a_scene_without_guards_compiles_none_of_their_functions(welded_ur5_system):
     data = data_of(welded_ur5_system)
     assert not data.model.guards
