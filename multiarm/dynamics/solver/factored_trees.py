@@ -33,8 +33,7 @@ from multiarm.jit.simd import (
     sum_pack,
 )
 from multiarm.jit.structs import floats_at
-from multiarm.jit.vectors import vec
-from multiarm.robots.chain import add_scaled_pair, power
+from multiarm.jit.vectors import add_scaled, dot, vec
 from multiarm.robots.terms import FACTOR_WIDTH, VANISHING_INERTIA
 
 INVERSE, LARGEST_INVERSE = FACTOR_WIDTH - 1, 0.5 / VANISHING_INERTIA
@@ -139,38 +138,34 @@ def carry_force(tree, r, j0, count, packs, factors, f_j, work):
     """
     trees, levers, d0 = work.trees, work.levers[tree.block], work.first_joint[tree.block]
     own, stride, before = trees.carried[r], LANES * (1 + packs), trees.runs[r, 2]
-    G = (own[0], own[LANES], own[2 * LANES]), (own[3 * LANES], own[4 * LANES], own[5 * LANES])
+    push = own[0], own[LANES], own[2 * LANES]
+    turn = own[3 * LANES], own[4 * LANES], own[5 * LANES]
     j, mobility, regular = j0 + count - 1, 0.0, True
     while j >= j0:
         at, out = FACTOR_WIDTH * j, LANES * tree.table + stride * j
-        inverse, V = factors[at + INVERSE], twist_at(factors, at + SCREW)
-        force = f_j[d0 + j] - power(twist_at(factors, at), G)
+        inverse, v, w = factors[at + INVERSE], vec(factors, at + 6), vec(factors, at + 9)
+        force = f_j[d0 + j] - (dot(vec(factors, at), push) + dot(vec(factors, at + 3), turn))
         trees.table[out], trees.scaled[out] = force, inverse * force
         regular &= 0.0 < inverse < LARGEST_INVERSE
         mobility = max(mobility, levers[j] * levers[j] * inverse)
         if j > j0:
             at, out, j = at - FACTOR_WIDTH, out - stride, j - 1
-            inverse, S = factors[at + INVERSE], twist_at(factors, at)
-            other = f_j[d0 + j] - power(S, G) - power(S, V) * force
+            inverse, a, b = factors[at + INVERSE], vec(factors, at), vec(factors, at + 3)
+            other = f_j[d0 + j] - (dot(a, push) + dot(b, turn)) - (dot(a, v) + dot(b, w)) * force
             trees.table[out], trees.scaled[out] = other, inverse * other
             regular &= 0.0 < inverse < LARGEST_INVERSE
             mobility = max(mobility, levers[j] * levers[j] * inverse)
-            G = add_scaled_pair(add_scaled_pair(G, force, V), other, twist_at(factors, at + SCREW))
+            push = add_scaled(add_scaled(push, force, v), other, vec(factors, at + 6))
+            turn = add_scaled(add_scaled(turn, force, w), other, vec(factors, at + 9))
         else:
-            G = add_scaled_pair(G, force, V)
+            push, turn = add_scaled(push, force, v), add_scaled(turn, force, w)
         j -= 1
     if before >= 0:
         sums = trees.carried[before]
         for k in range(3):
-            sums[LANES * k] += G[0][k]
-            sums[LANES * (3 + k)] += G[1][k]
+            sums[LANES * k] += push[k]
+            sums[LANES * (3 + k)] += turn[k]
     return mobility if regular else -1.0
-
-
-@inlined
-def twist_at(factors, at):
-    """A twist or a wrench."""
-    return vec(factors, at), vec(factors, at + 3)
 
 
 @inlined
@@ -287,27 +282,29 @@ def accelerate_run(tree, r, d0, factors, trees, a_j):
 
     Two joints at a time, as in :func:`carry_force`.
     """
-    before, own, zero = trees.runs[r, 2], trees.carried[r], (0.0, 0.0, 0.0)
-    A = zero, zero
+    before, own = trees.runs[r, 2], trees.carried[r]
+    a = alpha = 0.0, 0.0, 0.0
     if before >= 0:
-        on = trees.carried[before]
-        A = (on[0], on[LANES], on[2 * LANES]), (on[3 * LANES], on[4 * LANES], on[5 * LANES])
+        A = trees.carried[before]
+        a, alpha = (A[0], A[LANES], A[2 * LANES]), (A[3 * LANES], A[4 * LANES], A[5 * LANES])
     j, end = trees.runs[r, 0], trees.runs[r, 0] + trees.runs[r, 1]
     while j < end:
         at = FACTOR_WIDTH * j
-        S, rate = twist_at(factors, at), a_j[d0 + j] - power(twist_at(factors, at + SCREW), A)
+        v, w = vec(factors, at), vec(factors, at + 3)
+        rate = a_j[d0 + j] - (dot(vec(factors, at + 6), a) + dot(vec(factors, at + 9), alpha))
         a_j[d0 + j] = rate
         if j + 1 < end:
             at, j = at + FACTOR_WIDTH, j + 1
-            V = twist_at(factors, at + SCREW)
-            other = a_j[d0 + j] - power(V, A) - power(V, S) * rate
+            f, c = vec(factors, at + 6), vec(factors, at + 9)
+            other = a_j[d0 + j] - (dot(f, a) + dot(c, alpha)) - (dot(f, v) + dot(c, w)) * rate
             a_j[d0 + j] = other
-            A = add_scaled_pair(add_scaled_pair(A, rate, S), other, twist_at(factors, at))
+            a = add_scaled(add_scaled(a, rate, v), other, vec(factors, at))
+            alpha = add_scaled(add_scaled(alpha, rate, w), other, vec(factors, at + 3))
         else:
-            A = add_scaled_pair(A, rate, S)
+            a, alpha = add_scaled(a, rate, v), add_scaled(alpha, rate, w)
         j += 1
     for k in range(3):
-        own[LANES * k], own[LANES * (3 + k)] = A[0][k], A[1][k]
+        own[LANES * k], own[LANES * (3 + k)] = a[k], alpha[k]
 
 
 # --- inertias -------------------------------------------------------------------------------------

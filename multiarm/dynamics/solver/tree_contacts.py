@@ -42,12 +42,21 @@ def add_run(tree, j0, count, m, trees, first, end, node):
     rows, scaled = packs_of(trees.table, tree.table), packs_of(trees.scaled, tree.table)
     own, over_pivots = rows + stride * j0, scaled + stride * j0
     free = packs_of(trees.free, tree.vector)
-    for p in range(first, end):
-        s, row, force = free[p], over_pivots + (tree.left + p), LANES * (tree.table + stride * j0)
+    first_force, k = LANES * (tree.table + stride * j0), first
+    while k + 2 <= end:
+        s, t, row, at = free[k], free[k + 1], over_pivots + (tree.left + k), first_force
         for _ in range(count):
-            s = s + broadcast(trees.table[force]) * row[0]
-            row, force = row + stride, force + LANES * stride
-        free[p] = s
+            force = broadcast(trees.table[at])
+            s, t = s + force * row[0], t + force * row[1]
+            row, at = row + stride, at + LANES * stride
+        free[k], free[k + 1] = s, t
+        k += 2
+    if k < end:
+        s, row, at = free[k], over_pivots + (tree.left + k), first_force
+        for _ in range(count):
+            s = s + broadcast(trees.table[at]) * row[0]
+            row, at = row + stride, at + LANES * stride
+        free[k] = s
     out = packs_of(trees.contacts, tree.contacts)
     factors = LANES * (tree.table + stride * j0 + tree.left)
     for p in range(first, end):
