@@ -20,13 +20,14 @@ RUNS = [
     ("thrown", 1, 1e-6), ("thrown", 3, 1e-6), ("thrown", 7, 1e-4), ("corner", 1, 1e-6),
     ("corner", 4, 1e-4), ("corner", 8, 1e-6), ("dry_joints", 2, 1e-6), ("dry_joints", 5, 1e-4),
     ("dry_joints", 19, 1e-4),  # a joint that turns back, and back again, within one step
+    ("mixed", 37, 1e-4),  # redundant fingertips that rest, some of them with friction at its bound
     ("fingertips", 4, 1e-6), ("fingertips", 7, 1e-4), ("stack", 1, 1e-6), ("mixed", 1, 1e-6),
     ("fingertips", 5, 1e-6), ("fingertips", 9, 1e-6),
 ]  # fmt: skip
 # Contacts stick and slip in turns here: events alone do not lead through.
 CHATTERING = [
     ("fingertips", 6, 1e-6), ("fingertips", 9, 1e-4), ("stack", 5, 1e-4), ("stack", 9, 1e-4),
-    ("mixed", 0, 1e-4), ("stack", 4, 1e-5),
+    ("mixed", 0, 1e-4), ("stack", 4, 1e-5), ("stack", 11, 1e-4),
 ]  # fmt: skip
 DIRECTION, POWER = "friction not against slip", "friction power"
 

@@ -25,6 +25,8 @@ SMALL = 1e-3
 """An energy that is small in any of the scenes [J]."""
 SLIPS = 1e-6
 """Speeds of slip that have a direction, as a part of the largest speed; and above the accuracy."""
+REST = 0.01
+"""Part of the accuracy below which a joint is at rest."""
 
 
 def state_at(oracle: Oracle, trajectory: Any, k: int) -> State:
@@ -72,7 +74,8 @@ class _Recorded:
 def judge_laws(table: Table, trajectory: Any, accuracy: float) -> dict[str, float]:
     """The largest violation of each law in any sample; see the module.
 
-    Slips that are slower than the ``accuracy`` of the run may have any direction.
+    Slips that are slower than the ``accuracy`` of the run may have any direction; joints are at
+    rest that are slower than a hundredth of it.
 
     Accelerations of scenes with dry joints or joints that are not ``contacts`` are not judged, for
     their forces are not all recorded; dry friction is where arms with six joints are welded to
@@ -81,11 +84,13 @@ def judge_laws(table: Table, trajectory: Any, accuracy: float) -> dict[str, floa
     oracle = Oracle(table)
     welded = [joint["arm"] for joint in table["joints"] if joint["kind"] == "weld"]
     if "joint_friction" in table["effects"] and welded:
-        return _dry_joint_laws(oracle, trajectory, welded)
+        return _dry_joint_laws(oracle, trajectory, welded, accuracy)
     return _contact_laws(oracle, trajectory, accuracy)
 
 
-def _dry_joint_laws(oracle: Oracle, trajectory: Any, welded: list[str]) -> dict[str, float]:
+def _dry_joint_laws(
+    oracle: Oracle, trajectory: Any, welded: list[str], accuracy: float
+) -> dict[str, float]:
     """Laws of dry joints in arms that are welded to the object, all of whose wrenches are recorded.
 
     The object's acceleration follows from the wrenches, those of the joints from it, and from these
@@ -120,7 +125,7 @@ def _dry_joint_laws(oracle: Oracle, trajectory: Any, welded: list[str]) -> dict[
             torque, most = inertia @ joints - others, np.array(friction[arm.name])
             size = max(float(np.abs(others).max()), float(most.max()))
             excess = max(excess, float(np.max(np.abs(torque) - most)) / size)
-            moves = np.abs(state.velocity[own]) > SLIPS * V
+            moves = np.abs(state.velocity[own]) > max(SLIPS * V, REST * accuracy)
             left = torque + most * np.sign(state.velocity[own])
             against = max(against, float(np.max(np.abs(left), where=moves, initial=0.0)) / size)
     return {"dry torque too large": excess, "dry torque not against the rate": against}
