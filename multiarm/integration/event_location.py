@@ -14,7 +14,7 @@ import numpy as np
 from multiarm.dynamics.arrays import open_data, open_system
 from multiarm.dynamics.coordinates import load_chart
 from multiarm.dynamics.equations import evaluate_state
-from multiarm.dynamics.guards import QUIET, Guards
+from multiarm.dynamics.guards import FIRED, QUIET, Guards
 from multiarm.dynamics.status import OK
 from multiarm.integration.dense_output import interpolate
 from multiarm.integration.step import open_step
@@ -105,7 +105,7 @@ def first_event(
     Returns
     -------
     theta : float
-        1 when there is none.
+        1 when there is none, and where one has fired that the dense output keeps positive.
     guards : list of int
     """
     roots: dict[int, float] = {}
@@ -113,6 +113,8 @@ def first_event(
         level = float(levels[g])
         course = _Course(values, g, level, 0.0)
         root = course.fall(0, 1, level, 0.0, level)
+        if root is None and results[g] == FIRED:
+            root = 1.0  # it is past the end of the dense output, which is not projected
         if root is not None:
             roots[g] = root
     if not roots:
