@@ -14,6 +14,7 @@ from mechanics import scene_of, sledge_urdf
 from scipy.optimize import brentq
 
 import multiarm as ma
+from multiarm.dynamics.guards import DIPPED, FIRED, QUIET
 from multiarm.integration.event_location import first_event, sign_changes
 
 MASS, SPEED = 3.0, 1.0  # [kg] of the cart, [m/s] of the body
@@ -131,10 +132,14 @@ def test_each_guard_of_a_step_has_all_its_own_times():
 def test_a_guard_that_dips_between_two_points_of_the_grid_has_two_times():
     values = polynomial(0.53, 0.55)
     assert sign_changes(values, 0, False, 1e-9) == pytest.approx([0.53, 0.55], abs=1e-12)
-    theta, guards = first_event(values, np.array([2, 0]), np.full(2, 1e-9))
+    theta, guards = first_event(values, np.array([DIPPED, QUIET]), np.full(2, 1e-9))
     assert theta == pytest.approx(0.53, abs=1e-12) and guards == [0]
     assert sign_changes(lambda theta: np.array([(theta - 0.54) ** 2]), 0, False, 1e-9) == []
 
 
 def test_a_sign_change_that_projection_moved_past_the_end_is_at_the_end():
-    assert sign_changes(lambda theta: np.array([1.01 - theta]), 0, True, 1e-9) == [1.0]
+    values = lambda theta: np.array([1.01 - theta])  # noqa: E731
+    assert sign_changes(values, 0, True, 1e-9) == [1.0]
+    level = np.array([1e-9])
+    assert first_event(values, np.array([FIRED]), level) == (1.0, [0])
+    assert first_event(values, np.array([DIPPED]), level) == (1.0, [])
