@@ -81,8 +81,9 @@ IMPULSE_STEPS = 100
 # Slips slower than so many tolerances, which are the accuracy, are smoothed: errors of velocities
 # within a step, too, are as large.
 SMOOTHED = 10.0
-# Smallest speed of slip with a direction of its own [m/s].
-SLOWEST = 1e-9
+# Smallest speed of slip with a direction of its own [m/s]; in so many of a run's shortest steps
+# friction may turn it, where it accelerates by 10 m/s^2.
+SLOWEST, IN_SHORTEST = 1e-9, 10.0
 
 
 @dataclass
@@ -114,6 +115,7 @@ class EventHandler:
         data: Data,
         tolerance: Tolerance | None,
         step: float | None,
+        latest: float,
         log: EventLog,
         stops_at_painleve: bool,
     ):
@@ -121,7 +123,7 @@ class EventHandler:
             assert step is not None, "steps are either fixed or chosen"
             slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
         else:
-            slow = SMOOTHED * tolerance.position
+            slow = max(SMOOTHED * tolerance.position, 10.0 * IN_SHORTEST * shortest_step(latest))
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
@@ -133,6 +135,7 @@ class EventHandler:
         self._pending: Pending | None = None
         self._last_length = self._usual_length = 0.0
         self._times: deque[float] = deque(maxlen=ACCUMULATED)
+        self._last_times: dict[int, float] = {}  # of the events of each constraint
         self._schedule = JointSchedule(self.modes.unilateral, 0.0)
         self._watched: frozenset[int] | None = None  # joints whose ranges are watched
         self._rest, self.resting = RestDetector(self.modes), frozenset[str]()
@@ -286,7 +289,7 @@ class EventHandler:
         self._add_work(run, decision.energy)
         ended = before if before.holding == self.modes.holding else None
         decision, holds = enter_consistent_mode(self.modes, decision, ended)
-        if holds and not self._accumulate(t):
+        if holds and not self._accumulate(t, _changed(decision, before)):
             self._log_decision(t, decision, before)
             self._continue(run)
             return ""
@@ -524,7 +527,8 @@ class EventHandler:
     def arm(self, run: Run) -> None:
         """Start the guards at the state in the data, which has been evaluated."""
         if run.settings.adaptive:
-            run.clock.h = min(run.clock.h, self._first_step())
+            shortest = IN_SHORTEST * shortest_step(run.clock.t)
+            run.clock.h = min(run.clock.h, max(self._first_step(), shortest))
         require_ok(run.data, start_guards(run.data.struct))
         remember_scales(self.modes.guards)
         run.solver_log.reset(run.data)
@@ -548,16 +552,19 @@ class EventHandler:
         Velocities orthogonal to a slip s decay at the rate ``mu a_n / |s|``; where it is slow, a
         step that is much longer enlarges roundings of them to the size of the slip.
         """
-        slides, tangents = self.modes.slides, self.modes.data.tangents
+        modes, slides, tangents = self.modes, self.modes.slides, self.modes.data.tangents
         if tangents is None or not slides.row.size:
             return math.inf
-        rows = RowDynamics(self.modes)
-        jacobian = rows.jacobian([*tangents.rows])
-        friction = np.abs(slides.mu * self.modes.data.arrays.rows.force[slides.row])
-        changes = friction * rows.mobility(jacobian).reshape(-1, 2).max(axis=1)
+        rows, sliding = RowDynamics(modes), modes.mode.sliding(modes.unilateral.constraints)
+        friction = np.abs(slides.mu * modes.data.arrays.rows.force[slides.row])
+        mobility = rows.mobility(rows.jacobian([*tangents.rows])).reshape(-1, 2).max(axis=1)
         speeds = np.linalg.norm(tangents.contact_rows.gap_rate.reshape(-1, 2), axis=1)
-        least = np.maximum(changes, np.finfo(float).tiny)
-        return float(np.min(np.maximum(speeds, self.modes.slow) / least))
+        changes = friction * mobility
+        # those at the bound of friction are held at rest by others
+        slips = [modes.mode.states[u] == ContactState.SLIDING for u in sliding]
+        turning = np.array(slips) & (changes > 0.0)
+        steps = np.maximum(speeds[turning], modes.slow) / changes[turning]
+        return float(np.min(steps, initial=math.inf))
 
     def _log_events(self, events: list[RunEvent]) -> None:
         self.count += len(events)
@@ -581,16 +588,25 @@ class EventHandler:
             *(rest_event(self.modes, t, name, on) for name, on in supports.items() if name in new)
         )
 
-    def _accumulate(self, t: float) -> bool:
-        """Count an event; whether the last ones came so fast that they would not end.
+    def _accumulate(self, t: float, changed: set[int]) -> bool:
+        """Count an event that has changed some constraints; whether the last ones would not end.
 
-        So does one within an impulse step after the last of these.
+        They come fast, of the same constraints again and again.  So does one within an impulse step
+        after the last of these.
         """
-        self._times.append(t)
+        window = ACCUMULATION * self._usual_length
+        if not changed or any(t - self._last_times.get(u, -math.inf) < window for u in changed):
+            self._times.append(t)
+        self._last_times.update(dict.fromkeys(changed, t))
         if t - self._phase_end < self._phase_length < np.inf:
             return True
-        since = t - self._times[0]
-        return len(self._times) == ACCUMULATED and since < ACCUMULATION * self._usual_length
+        return len(self._times) == ACCUMULATED and t - self._times[0] < window
+
+
+def _changed(decision: Decision, before: Mode) -> set[int]:
+    """Constraints that do something else than before, or have hit."""
+    pairs = enumerate(zip(before.states, decision.mode.states, strict=False))
+    return {u for u, (was, now) in pairs if was != now} | {hit.constraint for hit in decision.hits}
 
 
 def _constraints(guards: list[Guard], *functions: type) -> set[int]:

@@ -21,26 +21,35 @@ class Interrupt:
             signal.raise_signal(signal.SIGINT)
 
 
+# The outermost :func:`deferred_interrupt`'s, while it lasts.
+_deferring: list[Interrupt] = []
+
+
 @contextmanager
-def deferred_interrupt(interrupt: Interrupt | None = None) -> Iterator[Interrupt]:
-    """Store Ctrl-C in ``interrupt`` instead of raising ``KeyboardInterrupt``.
+def deferred_interrupt() -> Iterator[Interrupt]:
+    """Store Ctrl-C instead of raising ``KeyboardInterrupt``; within another one, in the same place.
 
     Raised inside a function that compiled code has called, it would be printed and lost.  A second
     Ctrl-C raises as usual.
     """
-    interrupt = Interrupt() if interrupt is None else interrupt
     before = signal.getsignal(signal.SIGINT)
     # signals reach the main thread only; a handler that is not Python's could not be put back
     if threading.current_thread() is not threading.main_thread() or before is None:
-        yield interrupt
+        yield Interrupt()
         return
+    if _deferring:
+        yield _deferring[0]
+        return
+    interrupt = Interrupt()
 
     def note(_number: int, _frame: FrameType | None) -> None:
         interrupt.pressed = True
         signal.signal(signal.SIGINT, before)
 
     signal.signal(signal.SIGINT, note)
+    _deferring.append(interrupt)
     try:
         yield interrupt
     finally:
+        _deferring.clear()
         signal.signal(signal.SIGINT, before)

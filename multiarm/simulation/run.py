@@ -136,7 +136,9 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
     if task.data.model.unilateral is not None:
         tolerance = method_and_tolerance(spec, tighten)[1]
         stops = spec.painleve == "stop"
-        events = EventHandler(task.data, tolerance, spec.step, log, stops_at_painleve=stops)
+        events = EventHandler(
+            task.data, tolerance, spec.step, _latest(task), log, stops_at_painleve=stops
+        )
         start = task.system.initial_state() if state is None else state
         data, state = events.begin(task.begin, start, state is not None)
         in_mode = replace(task, data=data, state=state)
@@ -145,6 +147,11 @@ def begin(task: Task, sink: Sink, tighten: float = 1.0) -> Driver:
         events.arm(run)
     log_start(run.data, log, task.begin)
     return Driver(task, run, events, compile_time() - compiled_before)
+
+
+def _latest(task: Task) -> float:
+    """The largest time that is known to come [s]."""
+    return max((abs(t) for t in (task.begin, task.end) if math.isfinite(t)), default=0.0)
 
 
 def _stiffness_remarks(driver: Driver) -> list[str]:

@@ -260,6 +260,19 @@ def test_ctrl_c_is_noted_where_raising_would_lose_it():
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_ctrl_c_before_a_part_that_notes_it_too_is_noted_there():
+    before = signal.getsignal(signal.SIGINT)
+    with deferred_interrupt() as whole:
+        os.kill(os.getpid(), signal.SIGINT)
+        with deferred_interrupt() as part:
+            assert part.pressed
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+                time.sleep(1.0)
+        assert whole.pressed
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_a_handler_of_a_program_around_python_stays(monkeypatch):
     """It could not be put back."""
     before = signal.getsignal(signal.SIGINT)

@@ -27,6 +27,7 @@ from multiarm.dynamics.data import Data
 from multiarm.events import consistent_mode
 from multiarm.events.impulse_steps import ImpulseStepper
 from multiarm.events.modes import Modes
+from multiarm.scene import parse_scene
 from multiarm.simulation import event_handling
 from multiarm.simulation.impulse_phase import point_of
 
@@ -229,3 +230,24 @@ def test_a_phase_that_was_left_too_early_comes_back_twice_as_long(monkeypatch):
         assert least <= 2.0 * (end_ - begin)
     for begin, end_, least in lengths:
         assert end_ - begin >= least
+
+
+def test_hits_of_different_bodies_are_no_chatter_however_fast_they_follow():
+    """24 balls fly to a floor without gravity, 1.5 ms after each other, and bounce once each."""
+    restitution, times = 0.8, 4.0 + 1.5e-3 * np.arange(24)
+    objects = {f"ball_{k}": ball(0.05, height=float(t)) for k, t in enumerate(times)}
+    for k, body in enumerate(objects.values()):
+        body["pose"]["xyz"][0], body["twist"] = 0.5 * k, [0.0, 0.0, -1.0, 0.0, 0.0, 0.0]
+    away = arm("x", base={"xyz": [0, 0, 50.0]})
+    table = {
+        "gravity": None,
+        "objects": objects,
+        "arms": {"away": away},
+        "joints": [{"arm": "away", "object": "ball_0", "kind": "contacts", "contacts": [AWAY]}],
+        "effects": {"unilateral_contacts": AS_WRITTEN, "floor": {"restitution": restitution}},
+    }
+    system = ma.compile_system(parse_scene(table))
+    trajectory = ma.simulate(system, 5.0, accuracy=1e-6, output_step=5.0, certificate=False)
+    assert [event["kind"] for event in trajectory.events] == ["bounces"] * len(times)
+    heights = [motion.position[-1, 2] for motion in trajectory.objects.values()]
+    np.testing.assert_allclose(heights, 0.05 + restitution * (5.0 - times), rtol=0, atol=1e-12)

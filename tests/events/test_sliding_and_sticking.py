@@ -22,6 +22,7 @@ from mechanics import G
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+import multiarm as ma
 from multiarm.scene import parse_scene
 
 FLOOR_CONE = 1e-10  # how far friction may be outside of its cone, as a part of the force
@@ -235,3 +236,26 @@ def test_a_ball_on_a_turning_plate_rolls_then_slides():
     exact = solve_ivp(motion, (0, 0.6), [0, -rate * r], "DOP853", events=limit, rtol=1e-12)
     assert m > 0 and len(exact.t_events[0]) == 1
     assert slid[0] == pytest.approx(exact.t_events[0][0], abs=1e-8)
+
+
+def test_late_in_a_long_run_a_box_rests_that_is_pulled_by_less_than_its_friction():
+    pulled = on_floor(box(), mu=0.3, gravity=[0.9 * 0.3 * 10.0, 0.0, -10.0])
+    trajectory = ma.simulate(ma.compile_system(pulled), 1.0, accuracy=1e-9, start_time=500.0)
+    assert trajectory.status == "completed", trajectory.message
+    assert trajectory.statistics["steps"] < 10 and np.abs(trajectory.object_twist).max() < 1e-12
+
+
+@pytest.mark.slow
+def test_late_in_a_long_run_a_slip_begins_as_it_does_early():
+    """A pull that grows by 1 m/s^3 times the mass: the way is a sixth of the cube of the time."""
+    mu, mass, begin = 0.3, 2.0, 1000.0
+
+    def pull(t, state):
+        return [mass * (10.0 * mu + t - begin - 0.1), 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    effects = {"external_wrenches": [{"on": "object", "function": pull}]}
+    pulled = on_floor(box(mass=mass), mu=mu, gravity=[0.0, 0.0, -10.0], effects=effects)
+    system = ma.compile_system(pulled)
+    trajectory = ma.simulate(system, 0.3, accuracy=1e-8, start_time=begin, certificate=False)
+    assert trajectory.status == "completed", trajectory.message
+    assert trajectory.object_position[-1, 0] == pytest.approx(0.2**3 / 6.0, abs=1e-8)
