@@ -110,18 +110,34 @@ def _passive_joints_not_carried(
 
 
 def _lying_on_the_floor(data: Data, start: State) -> set[str]:
-    """The objects that touch the floor at a start."""
+    """The objects that stand on the floor at a start, on points that touch it around below them."""
     objects = data.model.layout.objects
     owners = {floor_owner(name, objects): name for name in objects}
     place_state(data, 0.0, start)
     require_ok(data, update_kinematics(data.struct))
     gaps, touching = data.contact_rows.gap, TOUCHING * scene_size(data)
     constraints = () if data.model.unilateral is None else data.model.unilateral.constraints
+    points: dict[str, list[np.ndarray]] = {}
+    for constraint in constraints:
+        if constraint.owner in owners and gaps[constraint.row] <= touching:
+            point = data.contact_rows.point[constraint.row]
+            points.setdefault(owners[constraint.owner], []).append(point)
+    gravity = data.model.constants.gravity
     return {
-        owners[constraint.owner]
-        for constraint in constraints
-        if constraint.owner in owners and gaps[constraint.row] <= touching
+        name
+        for name, of_object in points.items()
+        if _carry(np.array(of_object) - start.objects[name].position, gravity, touching)
     }
+
+
+def _carry(arms: np.ndarray, gravity: np.ndarray, small: float) -> bool:
+    """Whether points (P, 3) from a centre of mass lie around below it, or just below it [m]."""
+    sideways = np.linalg.svd(gravity[None, :])[2][1:]
+    flat = arms @ sideways.T
+    if np.linalg.norm(flat, axis=1).min() <= small:
+        return True
+    angles = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
+    return bool(np.max(np.diff(angles, append=angles[0] + 2.0 * np.pi)) <= np.pi + 1e-9)
 
 
 def _objects_not_carried(

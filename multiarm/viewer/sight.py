@@ -21,6 +21,8 @@ ENOUGH = np.array([0.8] + 11 * [0.97])
 # Frames that are looked at, parts of the scene's size that points and cells are apart, and points
 # on a body at most.
 FRAMES, SPACING, CELL, MOST_POINTS = 6, 1.0 / 60.0, 1.0 / 30.0, 2000
+# A smaller part is seen between the points of large links only: it is hidden.
+LEAST_SEEN = 0.3
 
 
 def clear_azimuth(animation: Animation) -> float:
@@ -33,7 +35,11 @@ def clear_azimuth(animation: Animation) -> float:
         return AZIMUTH
     of_objects = _places(objects, frames, size)
     of_robots = _places(robots, frames, size)
+    if not (of_objects.size and of_robots.size):
+        return AZIMUTH
     shares = np.array([_seen(of_objects, of_robots, AZIMUTH + turn, size) for turn in TURNS])
+    if shares.max() < LEAST_SEEN:  # hidden from everywhere
+        return AZIMUTH
     return AZIMUTH + float(TURNS[np.argmax(shares >= ENOUGH * shares.max())])
 
 
@@ -54,6 +60,8 @@ def _places(bodies: list[Body], frames: np.ndarray, size: float) -> np.ndarray:
 
 def _spread(mesh: TriangleMesh, spacing: float) -> np.ndarray:
     """Points about so far apart all over a mesh, (P, 3) [m]."""
+    if not len(mesh.triangles):
+        return np.zeros((0, 3))
     a, b, c = mesh.vertices[mesh.triangles].transpose(1, 0, 2)
     reach = np.cumsum(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
     count = int(np.clip(reach[-1] / spacing**2, 1, MOST_POINTS))

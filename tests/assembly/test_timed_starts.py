@@ -99,6 +99,21 @@ def test_an_object_that_lies_on_the_floor_needs_no_joint_at_the_start():
     assert "at the start" in warning
 
 
+@pytest.mark.parametrize(("tilt", "falls"), [(0.0, False), (0.3, True)])
+def test_an_object_on_one_edge_falls(tilt, falls):
+    height = 0.1 * np.sin(tilt) + 0.05 * np.cos(tilt)
+    pose = {"xyz": [0, 0, height], "rpy": [0, tilt, 0]}
+    data = {
+        "gravity": [0, 0, -9.81],
+        "object": {"shape": {"box": [0.2, 0.2, 0.1]}, "mass": 1.0, "pose": pose},
+        "arms": {"a": {"robot": "ur5", "base": {"xyz": [-0.7, 0, 0]}, "posture": [0.0] * 6}},
+        "joints": [{"arm": "a", "kind": "weld", "from": 2.0}],
+        "control": {"kind": "gravity_compensation"},
+        "effects": {"floor": {}},
+    }
+    assert any("falls" in warning for warning in compiled(data).start_warnings) == falls
+
+
 LEFT, RIGHT = ({"xyz": [x, 0, 0.05], "rpy": [np.pi, 0, 0]} for x in (-0.9, 0.9))
 
 

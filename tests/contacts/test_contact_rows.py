@@ -87,6 +87,17 @@ def along(contacts, motion):
     return gaps
 
 
+@pytest.mark.parametrize("count", range(1, 10))
+def test_planes_are_right_however_many_are_written_together(count, surface_body, rng, motion):
+    contacts = [
+        some_contact(rng, "plane", surface_body, 0.01 * k, *motion[:2]) for k in range(count)
+    ]
+    rows, gaps = kernel_rows(contacts, *motion), along(contacts, motion)
+    np.testing.assert_allclose(rows.phi, gaps(0.0), atol=1e-14)
+    np.testing.assert_allclose(rows.phi_dot, first_difference(gaps, 1e-2), atol=1e-10)
+    np.testing.assert_allclose(-rows.c, second_difference(gaps, 1e-2), atol=1e-8)
+
+
 def test_gap_is_the_distance_between_the_surfaces(contacts, motion):
     rows = kernel_rows(contacts, motion[0], motion[1])
     np.testing.assert_allclose(rows.phi, along(contacts, motion)(0.0), atol=1e-14)

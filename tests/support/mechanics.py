@@ -21,10 +21,12 @@ import multiarm as ma
 import multiarm.robots.backends
 from multiarm.contacts.kernel import (
     CONTACT_WIDTH,
+    ROW_LANES,
     ContactRow,
     ContactSearch,
     make_search,
     write_row,
+    write_rows_in_closed_form,
 )
 from multiarm.contacts.matrices import contact_matrices
 from multiarm.contacts.motion import BODY_WIDTH, BodyMotion
@@ -346,6 +348,13 @@ def write_row_alone(struct, k, arm, body, rows, parts):
     write_row(k, arm, body, _open_table(struct), rows, parts, _open_search(struct))
 
 
+@kernel
+def write_rows_together(struct, count, arm, body, packs, rows):
+    """The first rows of this table that are in closed form, as an evaluation writes them."""
+    relative = _open_search(struct).relative
+    write_rows_in_closed_form(0, count, arm, body, _open_table(struct), relative, packs, rows)
+
+
 def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
     """What the kernels make of contacts on two moving bodies, one row (column of W) a contact.
 
@@ -367,6 +376,7 @@ def kernel_rows(contacts, X_WT, X_WO, twist_T=None, twist_O=None, near=None):
                 search.guesses[codes.shape[piece]] = near[k]
         write_row_alone(struct, k, arm, body, rows, parts)
     answer.reraise()
+    write_rows_together(struct, n, arm, body, np.zeros(ROW_LANES), rows)
     W = contact_matrices(table, np.vstack([rows, parts]), np.arange(n), arm, body, arm)
     return SimpleNamespace(
         phi=columns.gap, phi_dot=columns.gap_rate, c=-columns.gap_bias, normals=columns.normal,
