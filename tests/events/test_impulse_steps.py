@@ -220,7 +220,9 @@ def test_a_phase_that_was_left_too_early_comes_back_twice_as_long(monkeypatch):
         ended(handler, run, phase)
 
     monkeypatch.setattr(event_handling.EventHandler, "_end_phase", end)
-    monkeypatch.setattr(event_handling.EventHandler, "_accumulate", lambda handler, t: True)
+    monkeypatch.setattr(
+        event_handling.EventHandler, "_accumulate", lambda handler, t, changed: True
+    )
     body = box(height=1e-4, twist=[0.4, 0.0, 0.0, 0.0, 0.0, 0.0])
     trajectory = run(on_floor(body, 0.5, mu=0.2), 0.05, accuracy=1e-5)
     assert trajectory.status == "completed" and len(lengths) > 2
