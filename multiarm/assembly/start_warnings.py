@@ -111,12 +111,13 @@ def _passive_joints_not_carried(
 
 def _lying_on_the_floor(data: Data, start: State) -> set[str]:
     """The objects that stand on the floor at a start, on points that touch it around below them."""
-    objects = data.model.layout.objects
+    if data.model.unilateral is None:
+        return set()
+    objects, constraints = data.model.layout.objects, data.model.unilateral.constraints
     owners = {floor_owner(name, objects): name for name in objects}
     place_state(data, 0.0, start)
     require_ok(data, update_kinematics(data.struct))
     gaps, touching = data.contact_rows.gap, TOUCHING * scene_size(data)
-    constraints = () if data.model.unilateral is None else data.model.unilateral.constraints
     points: dict[str, list[np.ndarray]] = {}
     for constraint in constraints:
         if constraint.owner in owners and gaps[constraint.row] <= touching:

@@ -55,7 +55,7 @@ class StatesByForces:
         Unit vectors of the slip of those that slide or are at the bound of friction.
     held : list of int
         Rows of the problem that are held from now on.
-    begin_at_bound : bool
+    at_bound : bool
         Whether some contacts slide from now on that the solution has at rest.
     """
 
@@ -78,7 +78,7 @@ class StatesByForces:
             if state in (ContactState.SLIDING, ContactState.AT_BOUND):
                 self.directions.setdefault(u, solution.directions[k])
         self.held = list(solution.active_rows)
-        self.begin_at_bound = self._let_slip()
+        self.at_bound = self._let_slip()
 
     def _let_slip(self) -> bool:
         """Let contacts at the bound of friction slide where the closed rows allow it: are any?"""

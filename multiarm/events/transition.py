@@ -381,7 +381,7 @@ class Transition:
         every = [*problem.rows, *self._modes.bilateral_rows]
         forces = {row: float(x) for row, x in zip(every, solution.forces, strict=False)}
         mode = self._mode(states, held, pulling, by_forces.directions)
-        return _ByForces(mode, forces, by_forces.begin_at_bound)
+        return _ByForces(mode, forces, by_forces.at_bound)
 
     def _states_by_rates(self) -> tuple[list[ContactState], list[int], dict[int, np.ndarray]]:
         """What the rates decide: states, constraints that forces decide, and unit slips of these.

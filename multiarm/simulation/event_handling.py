@@ -81,9 +81,12 @@ IMPULSE_STEPS = 100
 # Slips slower than so many tolerances, which are the accuracy, are smoothed: errors of velocities
 # within a step, too, are as large.
 SMOOTHED = 10.0
-# Smallest speed of slip with a direction of its own [m/s]; in so many of a run's shortest steps
-# friction may turn it, where it accelerates by 10 m/s^2.
-SLOWEST, IN_SHORTEST = 1e-9, 10.0
+# Smallest speed of slip with a direction of its own [m/s].
+SLOWEST = 1e-9
+# Acceleration of slips by friction, roughly [m/s^2].
+SLIP_ACCELERATION = 10.0
+# The first step after an event is at least so many of the shortest steps of a run.
+FIRST_STEP = 10.0
 
 
 @dataclass
@@ -121,9 +124,11 @@ class EventHandler:
     ):
         if tolerance is None:
             assert step is not None, "steps are either fixed or chosen"
-            slow = 10.0 * step  # the slip that 10 m/s^2 make in one step [m/s]
+            slow = SLIP_ACCELERATION * step  # the slip that begins in one step [m/s]
         else:
-            slow = max(SMOOTHED * tolerance.position, 10.0 * IN_SHORTEST * shortest_step(latest))
+            # at late times, steps cannot follow the directions of slower ones
+            late = SLIP_ACCELERATION * FIRST_STEP * shortest_step(latest)
+            slow = max(SMOOTHED * tolerance.position, late)
         self.modes = Modes(data, max(slow, SLOWEST))
         self.residual = 0.0
         self.count = self.impulse_steps = 0
@@ -527,7 +532,7 @@ class EventHandler:
     def arm(self, run: Run) -> None:
         """Start the guards at the state in the data, which has been evaluated."""
         if run.settings.adaptive:
-            shortest = IN_SHORTEST * shortest_step(run.clock.t)
+            shortest = FIRST_STEP * shortest_step(run.clock.t)
             run.clock.h = min(run.clock.h, max(self._first_step(), shortest))
         require_ok(run.data, start_guards(run.data.struct))
         remember_scales(self.modes.guards)
